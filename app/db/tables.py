@@ -1,0 +1,200 @@
+"""The tables: metadata and array keys, never arrays. Times are UTC; JSON columns hold plain data only."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Any
+
+from sqlalchemy import JSON, DateTime, ForeignKey, Index, MetaData, String, Text, UniqueConstraint
+from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column, relationship
+from sqlalchemy.types import TypeDecorator
+
+
+def now() -> datetime:
+    return datetime.now(UTC)
+
+
+class UtcDateTime(TypeDecorator[datetime]):
+    """Aware UTC in and out, on SQLite too."""
+
+    impl = DateTime(timezone=True)
+    cache_ok = True
+
+    def process_bind_param(self, value: datetime | None, dialect: Any) -> datetime | None:
+        return None if value is None else value.astimezone(UTC)
+
+    def process_result_value(self, value: datetime | None, dialect: Any) -> datetime | None:
+        return None if value is None else (value if value.tzinfo else value.replace(tzinfo=UTC))
+
+
+class Base(DeclarativeBase):
+    metadata = MetaData(
+        naming_convention={
+            "ix": "ix_%(table_name)s_%(column_0_N_name)s",
+            "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+            "fk": "fk_%(table_name)s_%(column_0_N_name)s_%(referred_table_name)s",
+            "pk": "pk_%(table_name)s",
+        }
+    )
+    type_annotation_map = {datetime: UtcDateTime, dict[str, Any]: JSON, list[Any]: JSON}  # noqa: RUF012
+
+
+class Robot(Base):
+    __tablename__ = "robots"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    name: Mapped[str] = mapped_column(String(200), unique=True)
+    created_at: Mapped[datetime] = mapped_column(default=now)
+
+
+class Run(Base):
+    """One stored run. `id` is the first 16 hex digits of `sha256`, the hash of its description and readings."""
+
+    __tablename__ = "runs"
+    id: Mapped[str] = mapped_column(String(16), primary_key=True)
+    sha256: Mapped[str] = mapped_column(String(64), unique=True)
+    name: Mapped[str] = mapped_column(String(200), index=True)
+    robot_id: Mapped[int | None] = mapped_column(ForeignKey("robots.id"), index=True)
+    created_at: Mapped[datetime] = mapped_column(default=now, index=True)
+    deleted_at: Mapped[datetime | None] = mapped_column(index=True)
+    t0: Mapped[float]
+    t1: Mapped[float]
+    duration_s: Mapped[float] = mapped_column(index=True)
+    size_bytes: Mapped[int]
+    meta: Mapped[dict[str, Any]]  # run.json as stored
+    source: Mapped[dict[str, Any]]  # file name, format, mapping, size, sha256 of the upload, provenance
+    warnings: Mapped[list[Any]]  # sentences
+    notes: Mapped[str] = mapped_column(Text, default="")
+    sparkline: Mapped[list[Any]]  # [[x, y], ...], at most 64 points of the best path known
+    # what lists sort and filter by, kept by the store whenever results change
+    best_method: Mapped[str | None] = mapped_column(String(40))
+    best_ate_m: Mapped[float | None] = mapped_column(index=True)
+    bias_drift: Mapped[float | None]  # rad/s, last minus first of the best gyro bias curve
+    verdict: Mapped[str | None] = mapped_column(String(40))
+    is_example: Mapped[bool] = mapped_column(default=False)
+
+    robot: Mapped[Robot | None] = relationship(lazy="joined")
+    streams: Mapped[list[Stream]] = relationship(
+        back_populates="run", cascade="all, delete-orphan", order_by="Stream.id"
+    )
+    tags: Mapped[list[Tag]] = relationship(cascade="all, delete-orphan", order_by="Tag.tag")
+    estimates: Mapped[list[Estimate]] = relationship(back_populates="run", cascade="all, delete-orphan")
+
+
+class Tag(Base):
+    __tablename__ = "tags"
+    run_id: Mapped[str] = mapped_column(ForeignKey("runs.id", ondelete="CASCADE"), primary_key=True)
+    tag: Mapped[str] = mapped_column(String(60), primary_key=True, index=True)
+
+
+class Stream(Base):
+    """One stream of a run. `columns`: {name: array key}; `t` is float64, the rest as the source has it."""
+
+    __tablename__ = "streams"
+    __table_args__ = (UniqueConstraint("run_id", "name"),)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    run_id: Mapped[str] = mapped_column(ForeignKey("runs.id", ondelete="CASCADE"), index=True)
+    name: Mapped[str] = mapped_column(String(20), index=True)
+    rows: Mapped[int]
+    t0: Mapped[float]
+    t1: Mapped[float]
+    rate_hz: Mapped[float]
+    gaps: Mapped[list[Any]]  # [[t0, t1], ...] where stamps pause for over ten typical steps; the longest 100
+    columns: Mapped[dict[str, Any]]
+    names: Mapped[list[Any]]  # text categories of the stream (beacon names), else []
+    run: Mapped[Run] = relationship(back_populates="streams")
+
+
+class Job(Base):
+    """The truth about long work; survives restarts. state: queued, running, done, failed, cancelled."""
+
+    __tablename__ = "jobs"
+    __table_args__ = (Index("ix_jobs_state_created_at", "state", "created_at"),)
+    id: Mapped[str] = mapped_column(String(16), primary_key=True)
+    kind: Mapped[str] = mapped_column(String(20))  # ingest, estimate
+    run_id: Mapped[str | None] = mapped_column(ForeignKey("runs.id", ondelete="CASCADE"), index=True)
+    params: Mapped[dict[str, Any]]
+    state: Mapped[str] = mapped_column(String(12), default="queued")
+    attempt: Mapped[int] = mapped_column(default=0)
+    progress: Mapped[float] = mapped_column(default=0.0)  # 0 to 1
+    message: Mapped[str] = mapped_column(String(300), default="")
+    cancel_requested: Mapped[bool] = mapped_column(default=False)
+    error: Mapped[dict[str, Any] | None]  # problem+json
+    result: Mapped[dict[str, Any] | None]  # ids of what it made
+    created_at: Mapped[datetime] = mapped_column(default=now)
+    started_at: Mapped[datetime | None]
+    finished_at: Mapped[datetime | None]
+
+
+class Estimate(Base):
+    """A stored estimate with all that is needed to make it again: method, config, seed, code version, run hash."""
+
+    __tablename__ = "estimates"
+    __table_args__ = (UniqueConstraint("run_id", "method", "config_hash"),)
+    id: Mapped[str] = mapped_column(String(16), primary_key=True)
+    run_id: Mapped[str] = mapped_column(ForeignKey("runs.id", ondelete="CASCADE"), index=True)
+    job_id: Mapped[str | None] = mapped_column(String(16))
+    method: Mapped[str] = mapped_column(String(40), index=True)
+    config: Mapped[dict[str, Any]]
+    config_hash: Mapped[str] = mapped_column(String(64))
+    seed: Mapped[int] = mapped_column(default=0)
+    code_version: Mapped[str] = mapped_column(String(80))
+    run_sha256: Mapped[str] = mapped_column(String(64))
+    created_at: Mapped[datetime] = mapped_column(default=now)
+    runtime_s: Mapped[float]
+    arrays: Mapped[dict[str, Any]]  # {column: array key}: t, x, y, theta, sd_x, ..., bias_t, bias, bias_sd, error_...
+    final: Mapped[dict[str, Any]]  # x, y, theta
+    parameters: Mapped[dict[str, Any]]
+    events: Mapped[list[Any]]
+    notes: Mapped[list[Any]]
+    run: Mapped[Run] = relationship(back_populates="estimates")
+    metrics: Mapped[list[Metric]] = relationship(cascade="all, delete-orphan", order_by="Metric.id")
+
+
+class Metric(Base):
+    """One figure of one estimate, SI."""
+
+    __tablename__ = "metrics"
+    __table_args__ = (UniqueConstraint("estimate_id", "name"),)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    estimate_id: Mapped[str] = mapped_column(ForeignKey("estimates.id", ondelete="CASCADE"), index=True)
+    name: Mapped[str] = mapped_column(String(60))
+    value: Mapped[float | None]
+    unit: Mapped[str] = mapped_column(String(20))
+
+
+class Diagnosis(Base):
+    """A stored sim-to-real diagnosis (schema gap/1) with all that is needed to make it again."""
+
+    __tablename__ = "diagnoses"
+    id: Mapped[str] = mapped_column(String(16), primary_key=True)
+    run_ids: Mapped[list[Any]]
+    config: Mapped[dict[str, Any]]
+    seed: Mapped[int] = mapped_column(default=0)
+    code_version: Mapped[str] = mapped_column(String(80))
+    run_sha256: Mapped[list[Any]]
+    created_at: Mapped[datetime] = mapped_column(default=now)
+    runtime_s: Mapped[float]
+    result: Mapped[dict[str, Any]]
+
+
+class Upload(Base):
+    """A resumable upload in progress: bytes acknowledged so far are on disk in `data/uploads/<id>`."""
+
+    __tablename__ = "uploads"
+    id: Mapped[str] = mapped_column(String(16), primary_key=True)
+    file_name: Mapped[str] = mapped_column(String(300))
+    size: Mapped[int | None]
+    sha256: Mapped[str | None] = mapped_column(String(64))
+    received: Mapped[int] = mapped_column(default=0)
+    options: Mapped[dict[str, Any]]  # name, robot, tags, mapping
+    created_at: Mapped[datetime] = mapped_column(default=now)
+    touched_at: Mapped[datetime] = mapped_column(default=now, index=True)
+
+
+class ColumnMapping(Base):
+    """A remembered mapping of a foreign CSV's columns to streams, units and signs."""
+
+    __tablename__ = "column_mappings"
+    name: Mapped[str] = mapped_column(String(100), primary_key=True)
+    mapping: Mapped[dict[str, Any]]
+    updated_at: Mapped[datetime] = mapped_column(default=now)
