@@ -5,9 +5,10 @@ To add a page: a `.md` file here and its row in PAGES.
 
 from __future__ import annotations
 
+import itertools
 import re
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -96,13 +97,13 @@ def _parser() -> MarkdownIt:
     return parser.enable("table").use(dollarmath_plugin, renderer=_mathml, allow_space=False)
 
 
-@lru_cache(maxsize=None)
+@cache
 def render(name: str) -> GuidePage:
     """A page as HTML. Headings get anchors, links between pages lead to `/guide/<name>`."""
     parser = _parser()
     tokens = parser.parse(source(name))
     sections: list[Section] = []
-    for opening, inline in zip(tokens, tokens[1:], strict=False):
+    for opening, inline in itertools.pairwise(tokens):
         if opening.type == "heading_open" and inline.content:
             anchor = slug(inline.content)
             opening.attrSet("id", anchor)
