@@ -1,0 +1,93 @@
+"""Every number that an estimator assumes, in one place: from `run.json` where it says, else the defaults here.
+
+A caller may set any of them by name (`estimate(run, method, {"fix_xy": 0.1})`); what was assumed for want of knowledge
+is written into the estimate's notes. Defaults are typical of small indoor robots with a consumer MEMS gyro and are
+wide on purpose: a filter that doubts its parameters learns them, one that trusts them wrongly cannot.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from core.errors import ParameterError
+from core.run import Run
+
+Config = Mapping[str, float | str | bool]
+
+
+@dataclass(frozen=True)
+class Assumptions:
+    """One sigma each unless said otherwise; SI and radians."""
+
+    gyro_density: float = 3.5e-4  # rad/s/sqrt(Hz), one-sided: 0.02 deg/s/sqrt(Hz), a plain MEMS gyro
+    bias_sd: float = 0.02  # rad/s, gyro bias at switching on
+    bias_walk: float = 1e-5  # rad/s/sqrt(s), its random walk
+    gyro_scale_sd: float = 0.005  # relative
+    quantum: float = 0.01  # rad, one encoder step where ticks_per_rev is unknown
+    slip: float = 0.005  # m/sqrt(m): travelled distance the wheels misread, sd after one metre
+    distance_scale_sd: float = 0.01  # relative, of the mean wheel radius
+    inequality_sd: float = 0.003  # relative, right radius against left
+    track_scale_sd: float = 0.03  # relative, of the effective track width
+    accel: float = 1.0  # m/s/sqrt(s), how fast the forward speed wanders
+    turn_accel: float = 2.0  # rad/s/sqrt(s), how fast the turn rate wanders, where there is no gyro
+    pause_rate: float = 0.3  # rad/sqrt(s), turning while the gyro pauses
+    top_speed: float = 10.0  # m/s, hard bound: a wheel reading beyond it is a jump of the counter
+    fix_xy: float = 0.05  # m
+    fix_theta: float = 0.05  # rad
+    range: float = 0.15  # m
+    start_xy: float = 0.01  # m, of a start pose given in run.json
+    start_theta: float = 0.01  # rad
+    gate: float = 0.999  # probability that a sound reading passes its chi-square gate
+    reaccept: float = 10  # rejections of one sensor in a row, after which the filter doubts itself
+    rest_time: float = 0.5  # s that wheels must stand still for the robot to be at rest
+    rest_rate: float = 0.1  # rad/s, largest gyro bias: a faster reading is a turn
+
+
+FIELDS: dict[str, dataclasses.Field[float]] = {f.name: f for f in dataclasses.fields(Assumptions)}
+
+_FROM_RUN = {"gyro_density": "gyro_density", "fix_xy": "beacon_xy", "fix_theta": "beacon_theta", "range": "range"}
+_WORDS = {
+    "gyro_density": "gyro noise density {:.2g} rad/s/√Hz",
+    "fix_xy": "fix noise {:.2g} m",
+    "fix_theta": "fix heading noise {:.2g} rad",
+    "range": "range noise {:.2g} m",
+}
+_STREAM = {"gyro_density": "imu", "fix_xy": "beacon", "fix_theta": "beacon", "range": "ranges"}
+
+
+def assume(run: Run, config: Config | None = None) -> tuple[Assumptions, tuple[str, ...]]:
+    """The numbers for this run, and notes on those that neither the run nor the caller gave.
+
+    Raises ParameterError for an unknown name or a value that is not a finite, non-negative number.
+    """
+    given = {name: _checked(name, value) for name, value in (config or {}).items()}
+    values = {}
+    notes = []
+    for name, key in _FROM_RUN.items():
+        sheet = getattr(run.meta.noise, key)
+        if name in given:
+            continue
+        if sheet is not None and sheet > 0:
+            values[name] = float(sheet)
+        elif getattr(run, _STREAM[name]) is not None:
+            notes.append(f"Assumed, as run.json is silent: {_WORDS[name].format(FIELDS[name].default)}.")
+    return Assumptions(**{**values, **given}), tuple(notes)
+
+
+def _checked(name: str, value: object) -> float:
+    if name not in FIELDS:
+        raise ParameterError(f"unknown option {name!r}", parameter=name, expected=tuple(FIELDS), found=name)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or value < 0:
+        raise ParameterError(
+            f"option {name} is {value!r}, expected a number >= 0", parameter=name, expected="number >= 0", found=value
+        )
+    return float(value)
+
+
+def encoder_quantum(run: Run, numbers: Assumptions) -> float:
+    """One encoder step [rad]."""
+    ticks = run.meta.robot.ticks_per_rev
+    return 2 * math.pi / ticks if ticks else numbers.quantum

@@ -1,0 +1,69 @@
+"""`estimate(run, method)`: where the robot was, by one method. The story, one screen.
+
+Given: a run with what the method needs. Done: the method's needs are checked, its numbers are taken from the run (else
+assumed, and said so in the notes), the path is estimated with its uncertainty. Truth is never looked at.
+To add a method: a file with its function, a row in METHODS.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from core.errors import MissingStreamError, ParameterError
+from core.estimation import needs
+from core.estimation.assumptions import Config
+from core.estimation.odometry import encoders
+from core.estimation.result import Estimate
+from core.run import Run
+
+
+@dataclass(frozen=True)
+class Method:
+    """One way to a path: what it is called, what it needs, whether a pose uses only readings up to its stamp."""
+
+    name: str
+    label: str
+    needs: str
+    causal: bool
+    source: str
+    summary: str
+    missing: Callable[[Run], str | None]
+    run: Callable[[Run, Config | None], Estimate]
+
+
+METHODS: dict[str, Method] = {
+    m.name: m
+    for m in (
+        Method(
+            name="encoders",
+            label="Encoders",
+            needs="wheels, wheel radius, track width",
+            causal=True,
+            source="Borenstein, Everett, Feng 1996",
+            summary="Dead reckoning: both wheels' angles, exact arcs.",
+            missing=needs.for_encoders,
+            run=encoders,
+        ),
+    )
+}
+
+
+def available(run: Run) -> dict[str, str | None]:
+    """Each method's name with None, or with the reason why it cannot run on this run."""
+    return {name: method.missing(run) for name, method in METHODS.items()}
+
+
+def estimate(run: Run, method: str, config: Config | None = None) -> Estimate:
+    """The path by one method of METHODS.
+
+    Rows: per IMU stamp, per wheel stamp where there is no IMU; `beacon`: per fix. `config` sets any number of
+    `core.estimation.assumptions.Assumptions` by name. Raises ParameterError (unknown method or option) and
+    MissingStreamError (the run lacks what the method needs).
+    """
+    if method not in METHODS:
+        raise ParameterError(f"unknown method {method!r}", parameter="method", expected=tuple(METHODS), found=method)
+    reason = METHODS[method].missing(run)
+    if reason is not None:
+        raise MissingStreamError(f"{method} cannot run: {reason}", method=method, missing=reason)
+    return METHODS[method].run(run, config)
