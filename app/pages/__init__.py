@@ -1,0 +1,16 @@
+"""The pages: one stem per page, `pages/x.py` (typed context), `templates/x.html`, `static/pages/x.js`.
+
+To add a page: its three files and a row in PAGES. `app.pages.frame` renders a context as HTML, or as JSON at the same
+path with `.json` behind it.
+"""
+
+from __future__ import annotations
+
+from fastapi import APIRouter
+
+from app.pages import about
+
+PAGES: dict[str, APIRouter] = {
+    "about": about.router,
+}
+"""Every page's router by its stem; `app.main` includes them all."""

@@ -1,0 +1,112 @@
+"""What all pages share: the frame around them, and one context rendered as HTML or as its JSON twin."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from importlib import metadata
+from typing import Any, ClassVar, TypeVar
+
+from fastapi import APIRouter, Request, Response
+from fastapi.encoders import jsonable_encoder
+from fastapi.responses import HTMLResponse, JSONResponse
+from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
+from markupsafe import Markup
+
+from app.paths import TEMPLATES
+
+THEMES = ("auto", "dark", "light")
+Handler = TypeVar("Handler", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True)
+class Place:
+    """One entry of the rail."""
+
+    name: str
+    label: str
+    path: str
+
+
+RAIL = (
+    Place("runs", "Runs", "/runs"),
+    Place("compare", "Compare", "/compare"),
+    Place("jobs", "Jobs", "/jobs"),
+    Place("guide", "Guide", "/guide"),
+    Place("about", "About", "/about"),
+)
+
+
+@dataclass(frozen=True)
+class Page:
+    """What every page says: its title, and the sentence a colleague could repeat. Subclasses add the evidence.
+
+    `template` is the file in `app/templates`; `place` the entry of the rail that is lit.
+    """
+
+    template: ClassVar[str]
+    place: ClassVar[str] = ""
+    title: str
+    sentence: str
+
+
+@cache
+def version() -> str:
+    """The version of the installed package."""
+    try:
+        return metadata.version("driftscope")
+    except metadata.PackageNotFoundError:
+        return "unknown"
+
+
+def data_block(value: Any) -> Markup:
+    """`value` as the text of a `<script type="application/json">`: nothing in it can close the element."""
+    text = json.dumps(jsonable_encoder(value), allow_nan=False, separators=(",", ":"))
+    return Markup(text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e"))
+
+
+@cache
+def environment() -> Environment:
+    """The Jinja2 environment of all templates; an undefined name is an error."""
+    env = Environment(
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=select_autoescape(default=True),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    env.filters["data_block"] = data_block
+    env.globals.update(rail=RAIL, version=version())
+    return env
+
+
+def as_dict(page: Page) -> dict[str, Any]:
+    """The context as plain data: what the template gets and what the JSON twin says."""
+    return {f.name: getattr(page, f.name) for f in dataclasses.fields(page)}
+
+
+def render(request: Request, page: Page, status: int = 200) -> Response:
+    """The page as HTML, or as JSON where the path ends in `.json`."""
+    if request.url.path.endswith(".json"):
+        return JSONResponse(jsonable_encoder(as_dict(page)), status_code=status)
+    theme = request.cookies.get("theme", "auto")
+    html = (
+        environment()
+        .get_template(page.template)
+        .render(as_dict(page), place=page.place, theme=theme if theme in THEMES else "auto", request=request)
+    )
+    return HTMLResponse(html, status_code=status, headers={"Cache-Control": "no-cache"})
+
+
+def route(router: APIRouter, path: str) -> Callable[[Handler], Handler]:
+    """Serve a handler at `path.json` (first, or `/runs/{id}` would swallow it) and at `path`, outside the API."""
+
+    def add(handler: Handler) -> Handler:
+        for p in (f"{path}.json", path):
+            router.add_api_route(p, handler, methods=["GET"], include_in_schema=False, response_model=None)
+        return handler
+
+    return add

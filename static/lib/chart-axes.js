@@ -1,0 +1,64 @@
+// Ticks and numbers of the axes. Times read as seconds in short runs and as h:min:s in long ones.
+
+const DECADES = [];
+for (let e = -12; e <= 12; e++) for (const m of [1, 2, 5]) DECADES.push(Number(`${m}e${e}`));
+const TIMES = [...DECADES.filter((d) => d <= 10), 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 10800, 21600, 43200, 86400];
+
+export const valueIncrements = DECADES;
+export const timeIncrements = TIMES;
+
+export function decimals(step) {
+  return step >= 1 || !(step > 0) ? 0 : Math.min(9, Math.ceil(-Math.log10(step) - 1e-9));
+}
+
+export function tick(value, step) {
+  if (Math.abs(value) < step * 1e-6) return "0";
+  if (Math.abs(value) >= 1e6 || step < 1e-6) return value.toExponential(1).replace("-", "−").replace("e+", "e");
+  return value.toFixed(decimals(step)).replace("-", "−");
+}
+
+// 4 significant digits: what a legend shows.
+export function number(value) {
+  if (value === null || value === undefined || Number.isNaN(value)) return "–";
+  if (value === 0) return "0";
+  const size = Math.abs(value);
+  const text = size >= 1e5 || size < 1e-4 ? value.toExponential(2) : value.toFixed(Math.max(0, 3 - Math.floor(Math.log10(size))));
+  return text.replaceAll("-", "−");
+}
+
+export function timeText(t, step = 0.01, span = Infinity) {
+  const digits = Math.min(3, decimals(step));
+  if (span < 180) return tick(t, step);
+  const rounded = Number(t.toFixed(digits));
+  const s = rounded % 60;
+  const m = Math.floor(rounded / 60) % 60;
+  const h = Math.floor(rounded / 3600);
+  const seconds = s.toFixed(digits).padStart(digits ? digits + 3 : 2, "0");
+  return span < 3600 ? `${m}:${seconds}` : `${h}:${String(m).padStart(2, "0")}:${seconds}`;
+}
+
+export function timeUnit(span) {
+  return span < 180 ? "s" : span < 3600 ? "min:s" : "h:min:s";
+}
+
+export function count(n) {
+  if (n >= 1e6) return `${(n / 1e6).toFixed(1)} M`;
+  return n.toLocaleString("en-US");
+}
+
+// uPlot axis options shared by plots. `ink`, `grid` are functions that give colours; `font` a canvas font.
+export function axes({ clock, log, ink, grid, font, showTime, valueWidth }) {
+  const base = { stroke: ink, font, grid: { stroke: grid, width: 1 }, ticks: { stroke: grid, width: 1, size: 4 }, gap: 3 };
+  const timeSpan = clock ? clock.full[1] : 0;
+  const x = { ...base, size: showTime ? 26 : 0, space: 64 };
+  if (!showTime) Object.assign(x, { ticks: { show: false }, values: (u, splits) => splits.map(() => "") });
+  else if (clock) x.values = (u, splits, i, space, step) => splits.map((t) => timeText(t, step, timeSpan));
+  if (clock) x.incrs = TIMES;
+  const y = { ...base, size: valueWidth, space: 30 };
+  const plain = (u, splits, i, space, step) => splits.map((v) => (v === null ? "" : tick(v, step)));
+  const powers = (u, splits) => splits.map((v) => (v === null ? "" : number(v)));
+  y.values = log.y ? powers : plain;
+  if (!log.y) y.incrs = DECADES;
+  if (!clock) x.values = log.x ? powers : plain;
+  return [x, y];
+}
