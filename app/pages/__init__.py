@@ -1,6 +1,6 @@
 """The pages: one stem per page, `pages/x.py` (typed context), `templates/x.html`, `static/pages/x.js`.
 
-To add a page: its three files and a row in PAGES. `app.pages.frame` renders a context as HTML, or as JSON at the same
+To add a page: its three files and a row in PAGES. `app.pages.base` renders a context as HTML, or as JSON at the same
 path with `.json` behind it.
 """
 

@@ -12,7 +12,7 @@ from typing import ClassVar
 
 from fastapi import APIRouter, Request, Response
 
-from app.pages.frame import Page, render, route, version
+from app.pages.base import Page, render, route, version
 from app.paths import STATIC
 
 router = APIRouter()

@@ -3,7 +3,7 @@
 //
 //   const chart = createChart(host, {
 //     id: "error-xy", title: "Position error", unit: "m", help: "what it is, how computed", guide: "/guide/...",
-//     series: [{ key: "fused", label: "fused", color: "--m-fused", dash: [], on: true, style: "line" | "dots" }],
+//     series: [{ key: "fused", label: "fused", color: "--method-fused", dash: [], on: true, style: "line" | "dots" }],
 //     clock,                                    // timecursor.js; absent: the chart keeps its own range over `domain`
 //     load: async ({ t0, t1, points, signal }) => ({ series: { fused: { t, y, total, shown } },
 //                                                    bands: { fused: { t, mid, sd } }, gaps: [[t0, t1]] }),

@@ -3,14 +3,14 @@
 import { s } from "./dom.js";
 
 export const METHODS = {
-  truth: { label: "truth", color: "--m-truth", dash: [], width: 1.5 },
-  encoders: { label: "encoders", color: "--m-encoders", dash: [7, 3], width: 1.5 },
-  beacon: { label: "beacon", color: "--m-beacon", dash: [2, 3], width: 1.75 },
-  "encoders+gyro": { label: "encoders + gyro", color: "--m-encoders-gyro", dash: [9, 3, 2, 3], width: 1.5 },
-  published: { label: "published", color: "--m-published", dash: [5, 2, 1, 2, 1, 2], width: 1.5 },
-  fused: { label: "fused", color: "--m-fused", dash: [], width: 2 },
-  smoothed: { label: "smoothed", color: "--m-smoothed", dash: [12, 3], width: 1.75 },
-  fixes: { label: "beacon fixes", color: "--m-fixes", dash: [], width: 1 },
+  truth: { label: "truth", color: "--method-truth", dash: [], width: 1.5 },
+  encoders: { label: "encoders", color: "--method-encoders", dash: [7, 3], width: 1.5 },
+  beacon: { label: "beacon", color: "--method-beacon", dash: [2, 3], width: 1.75 },
+  "encoders+gyro": { label: "encoders + gyro", color: "--method-encoders-gyro", dash: [9, 3, 2, 3], width: 1.5 },
+  published: { label: "published", color: "--method-published", dash: [5, 2, 1, 2, 1, 2], width: 1.5 },
+  fused: { label: "fused", color: "--method-fused", dash: [], width: 2 },
+  smoothed: { label: "smoothed", color: "--method-smoothed", dash: [12, 3], width: 1.75 },
+  fixes: { label: "beacon fixes", color: "--method-fixes", dash: [], width: 1 },
 };
 
 const FALLBACK = { color: "--ink-3", dash: [4, 4], width: 1.5 };
