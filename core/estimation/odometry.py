@@ -13,9 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from core.estimation.assumptions import Assumptions, Config, assume, encoder_quantum
-from core.estimation.result import Estimate
+from core.estimation.rest import at_rest
+from core.estimation.result import Curve, Estimate
 from core.run import Run
-from core.sensors import WheelLog
+from core.sensors import ImuLog, WheelLog
 from core.trajectory import Trajectory
 
 Array = npt.NDArray[np.float64]
@@ -122,3 +123,81 @@ def reading_noise(theta: Array, quantum_m: float, track: float | None) -> Array:
     P[:, 0, 1] = P[:, 1, 0] = along * sin * cos
     P[:, 2, 2] = quantum_m**2 / 6 / track**2 if track else 0.0
     return P
+
+
+def encoders_gyro(run: Run, config: Config | None = None) -> Estimate:
+    """Distance by the wheels, heading by the gyro; its bias is learnt wherever the robot rests and held between.
+
+    One pose per IMU stamp; distance is linear between wheel readings, heading trapezoidal between gyro readings.
+    """
+    from core.estimation._gyro_numba import N, walk
+
+    numbers, notes = assume(run, config)
+    imu, wheels, robot = run.imu, run.wheels, run.meta.robot
+    assert imu is not None and wheels is not None and robot.wheel_radius
+    path = wheel_path(wheels, robot.wheel_radius, robot.track_width)
+    begin, start_notes = _pose_at_first_imu_stamp(run, path)
+    rest = at_rest(run, numbers)
+    turns = gyro_turns(imu, numbers)
+    distance = np.diff(np.interp(imu.t, path.t, path.d), prepend=np.interp(imu.t[0], path.t, path.d))
+    n = len(imu)
+    x, P = np.concatenate((begin, (0.0, 0.0))), np.zeros((N, N))
+    P[:3, :3] = start_covariance(run, numbers)
+    P[3, 3], P[4, 4] = numbers.bias_sd**2, numbers.gyro_scale_sd**2
+    pose, covariance, bias, bias_var = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty(n), np.empty(n)
+    walk(
+        np.diff(imu.t, prepend=imu.t[0]), turns.step, distance, np.asarray(imu.gz, np.float64), rest.flags,
+        turns.variance, numbers.slip**2 / 2 * np.abs(distance), numbers.bias_walk**2, rest.gyro_sd**2,
+        chi2_gate(1, numbers), int(numbers.reaccept * imu.rate / 2), x, P, pose, covariance, bias, bias_var,
+    )  # fmt: skip
+    covariance += reading_noise(pose[:, 2], encoder_quantum(run, numbers) * robot.wheel_radius, None)
+    if not rest.flags.any():
+        notes = (*notes, f"The robot never rests: the gyro's bias stays 0 ± {numbers.bias_sd:.2g} rad/s.")
+    return Estimate(
+        "encoders+gyro",
+        Trajectory(imu.t, pose[:, 0], pose[:, 1], pose[:, 2], covariance),
+        gyro_bias=Curve(imu.t, bias, np.sqrt(bias_var)),
+        notes=(*start_notes, *notes),
+    )
+
+
+@dataclass(frozen=True)
+class GyroTurns:
+    """Per IMU stamp: raw turn since the one before [rad], and its variance by noise or, over a pause, by ignorance."""
+
+    step: Array
+    variance: Array
+
+
+def gyro_turns(imu: ImuLog, numbers: Assumptions) -> GyroTurns:
+    """Trapezoidal turns; over a pause of the gyro each end's rate holds for a few samples, and the rest is unknown."""
+    dt = np.diff(imu.t, prepend=imu.t[0])
+    gz = np.asarray(imu.gz, np.float64)
+    pause = pauses(dt)
+    covered = np.where(pause, np.minimum(dt, 2 * longest_hold(dt)), dt)
+    step = 0.5 * (gz + np.concatenate((gz[:1], gz[:-1]))) * covered
+    return GyroTurns(step, numbers.gyro_density**2 / 2 * dt + np.where(pause, numbers.pause_rate**2 * dt, 0.0))
+
+
+def longest_hold(dt: Array) -> float:
+    """How long a gyro reading is taken to last [s]: five typical steps."""
+    return 5.0 * float(np.median(dt[1:])) if len(dt) > 1 else 0.0
+
+
+def pauses(dt: Array) -> npt.NDArray[np.bool_]:
+    """Steps over which the gyro said too little: longer than twice the longest hold."""
+    return dt > 2 * longest_hold(dt)
+
+
+def chi2_gate(dof: int, numbers: Assumptions) -> float:
+    """Largest squared normalised innovation that passes."""
+    from scipy.special import chdtri
+
+    return float(chdtri(dof, 1 - numbers.gate))
+
+
+def _pose_at_first_imu_stamp(run: Run, path: WheelPath) -> tuple[Array, tuple[str, ...]]:
+    assert run.imu is not None
+    start, notes = start_pose(run)
+    before = arcs(path.d, np.nan_to_num(path.turn), start)
+    return np.array([np.interp(run.imu.t[0], path.t, column) for column in before.T]), notes

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from core.errors import MissingStreamError, ParameterError
 from core.estimation import needs
 from core.estimation.assumptions import Config
-from core.estimation.odometry import encoders
+from core.estimation.beacon import beacon
+from core.estimation.odometry import encoders, encoders_gyro
 from core.estimation.result import Estimate
 from core.run import Run
 
@@ -44,6 +45,26 @@ METHODS: dict[str, Method] = {
             summary="Dead reckoning: both wheels' angles, exact arcs.",
             missing=needs.for_encoders,
             run=encoders,
+        ),
+        Method(
+            name="beacon",
+            label="Beacon",
+            needs="beacon fixes, or ranges to three surveyed beacons",
+            causal=True,
+            source="Foy 1976 (ranges)",
+            summary="The fixes alone; where there are only ranges, a position from each round of them.",
+            missing=needs.for_beacon,
+            run=beacon,
+        ),
+        Method(
+            name="encoders+gyro",
+            label="Encoders + gyro",
+            needs="wheels, wheel radius, imu",
+            causal=True,
+            source="Chung, Ojeda, Borenstein 2001",
+            summary="Distance by the wheels, heading by the gyro, its bias learnt wherever the robot rests.",
+            missing=needs.for_encoders_gyro,
+            run=encoders_gyro,
         ),
     )
 }
