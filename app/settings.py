@@ -27,6 +27,7 @@ class Settings:
     max_unpacked_bytes: int = 16 * GIB
     undo_hours: float = 24.0
     demo: bool = False
+    allowed_hosts: tuple[str, ...] = ("127.0.0.1", "localhost", "::1")  # names that a loopback server answers to
 
     def __post_init__(self) -> None:
         if not self.is_loopback and not self.token:

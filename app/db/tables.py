@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import JSON, DateTime, ForeignKey, Index, MetaData, String, Text, UniqueConstraint
+from sqlalchemy import JSON, BigInteger, DateTime, ForeignKey, Index, MetaData, String, Text, UniqueConstraint
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column, relationship
 from sqlalchemy.types import TypeDecorator
 
@@ -59,12 +59,16 @@ class Run(Base):
     t0: Mapped[float]
     t1: Mapped[float]
     duration_s: Mapped[float] = mapped_column(index=True)
-    size_bytes: Mapped[int]
+    size_bytes: Mapped[int] = mapped_column(BigInteger)
     meta: Mapped[dict[str, Any]]  # run.json as stored
     source: Mapped[dict[str, Any]]  # file name, format, mapping, size, sha256 of the upload, provenance
     warnings: Mapped[list[Any]]  # sentences
     notes: Mapped[str] = mapped_column(Text, default="")
     sparkline: Mapped[list[Any]]  # [[x, y], ...], at most 64 points of the best path known
+    # kept by app.store.runs: what free text looks in (name, robot, tags, notes, file name; case-folded), and the
+    # streams it has ("beacon imu")
+    search: Mapped[str] = mapped_column(Text, default="")
+    stream_names: Mapped[str] = mapped_column(String(200), default="")
     # what lists sort and filter by, kept by the store whenever results change
     best_method: Mapped[str | None] = mapped_column(String(40))
     best_ate_m: Mapped[float | None] = mapped_column(index=True)
@@ -94,7 +98,7 @@ class Stream(Base):
     id: Mapped[int] = mapped_column(primary_key=True)
     run_id: Mapped[str] = mapped_column(ForeignKey("runs.id", ondelete="CASCADE"), index=True)
     name: Mapped[str] = mapped_column(String(20), index=True)
-    rows: Mapped[int]
+    rows: Mapped[int] = mapped_column(BigInteger)
     t0: Mapped[float]
     t1: Mapped[float]
     rate_hz: Mapped[float]
@@ -183,9 +187,9 @@ class Upload(Base):
     __tablename__ = "uploads"
     id: Mapped[str] = mapped_column(String(16), primary_key=True)
     file_name: Mapped[str] = mapped_column(String(300))
-    size: Mapped[int | None]
+    size: Mapped[int | None] = mapped_column(BigInteger)
     sha256: Mapped[str | None] = mapped_column(String(64))
-    received: Mapped[int] = mapped_column(default=0)
+    received: Mapped[int] = mapped_column(BigInteger, default=0)
     options: Mapped[dict[str, Any]]  # name, robot, tags, mapping
     created_at: Mapped[datetime] = mapped_column(default=now)
     touched_at: Mapped[datetime] = mapped_column(default=now, index=True)

@@ -1,0 +1,79 @@
+"""`create_app`: the server, put together. What it serves and what runs beside it is listed in the tables below."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractAsyncContextManager, AsyncExitStack
+
+from fastapi import APIRouter, FastAPI
+from starlette.middleware import Middleware
+from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
+from starlette.staticfiles import StaticFiles
+
+from app import errors, login, openapi, paths
+from app.db.migrate import migrate
+from app.db.session import make_engine, writing
+from app.pages import PAGES
+from app.security import Guard
+from app.settings import Settings
+from app.store import runs as run_store
+
+API_ROUTERS: tuple[APIRouter, ...] = ()  # under /api/v1
+PAGE_ROUTERS: tuple[APIRouter, ...] = (login.router, *PAGES.values())  # at the root
+# What runs beside the server, entered in this order at its start and left in the reverse order at its end.
+SERVICES: tuple[Callable[[FastAPI], AbstractAsyncContextManager[None]], ...] = ()
+
+NOT_COMPRESSED = (*DEFAULT_EXCLUDED_CONTENT_TYPES, "application/vnd.apache.arrow.stream", "application/octet-stream")
+
+
+def create_app(settings: Settings) -> FastAPI:
+    """The application for these settings; nothing is touched on disk before it starts."""
+    app = FastAPI(
+        title="Driftscope",
+        version=openapi.VERSION,
+        summary=openapi.SUMMARY,
+        description=openapi.DESCRIPTION,
+        openapi_url="/api/v1/openapi.json",
+        docs_url=None,  # the bundled viewers load scripts from elsewhere
+        redoc_url=None,
+        lifespan=_lifespan,
+        generate_unique_id_function=lambda route: route.name,
+        middleware=[
+            Middleware(Guard, settings=settings),
+            Middleware(GZipMiddleware, compresslevel=4, exclude_content_types=NOT_COMPRESSED),
+        ],
+    )
+    app.state.settings = settings
+    errors.install(app)
+    for router in API_ROUTERS:
+        app.include_router(router, prefix="/api/v1")
+    for router in PAGE_ROUTERS:
+        app.include_router(router, include_in_schema=False)
+    app.mount("/static", StaticFiles(directory=paths.STATIC), name="static")
+    openapi.install(app)
+    return app
+
+
+@contextlib.asynccontextmanager
+async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+    settings: Settings = app.state.settings
+    settings.data.mkdir(parents=True, exist_ok=True)
+    app.state.engine = make_engine(settings.url)
+    try:
+        migrate(app.state.engine)
+        _tidy(app)
+        async with AsyncExitStack() as stack:
+            for service in SERVICES:
+                await stack.enter_async_context(service(app))
+            yield
+    finally:
+        app.state.engine.dispose()
+
+
+def _tidy(app: FastAPI) -> None:
+    """Drop for good what has waited long enough: deleted runs, forgotten uploads, arrays that nothing names."""
+    settings: Settings = app.state.settings
+    with writing(app.state.engine) as session:
+        run_store.purge(session, settings.undo_hours)
+        run_store.collect_arrays(session, settings.data)
