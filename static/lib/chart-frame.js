@@ -30,7 +30,7 @@ export function buildFrame(host, spec, { tool }) {
   if (spec.help) title.dataset.hint = spec.help;
   const unit = h("span", { class: "chart-unit" }, spec.unit || "");
   const sampling = h("span", { class: "chart-sampling" });
-  const menu = exportMenu(spec, tool);
+  const menu = exportMenu(spec.title, TOOLS, tool);
   const head = h("figcaption", { class: "chart-head" }, title, unit, sampling, menu);
   if (spec.onEnlarge) {
     const enlarge = h("button", { type: "button", class: "chart-enlarge", "aria-label": `Enlarge ${spec.title}`, "data-hint": "Enlarge; again: back" }, glyph("M11 3h6v6M17 3l-6 6M9 17H3v-6M3 17l6-6"));
@@ -65,11 +65,11 @@ export function buildFrame(host, spec, { tool }) {
 }
 
 // details/summary: opens with Enter, closes with Escape or a click elsewhere.
-function exportMenu(spec, tool) {
-  const summary = h("summary", { "aria-label": `Export ${spec.title}`, "data-hint": "Export this view (e)" }, glyph("M10 3v9M6 8.5l4 4 4-4M3 16.5h14"));
+export function exportMenu(title, tools, tool) {
+  const summary = h("summary", { "aria-label": `Export ${title}`, "data-hint": "Export this view (e)" }, glyph("M10 3v9M6 8.5l4 4 4-4M3 16.5h14"));
   const list = h("div", { class: "menu-list" });
   const menu = h("details", { class: "menu chart-menu" }, summary, list);
-  for (const [kind, label, hint] of TOOLS) {
+  for (const [kind, label, hint] of tools) {
     const button = h("button", { type: "button", title: hint, "data-export": kind }, label);
     button.addEventListener("click", async () => {
       const said = await tool(kind);
@@ -97,7 +97,7 @@ export function closeOutside(menu) {
 export function legendItem(frame, series, toggle) {
   const value = h("output", { class: "legend-value" }, "–");
   const root = h("button", { type: "button", class: "legend-item", "data-series": series.key, "aria-pressed": "true" });
-  root.append(seriesSwatch(series), h("span", { }, series.label), value);
+  root.append(seriesSwatch(series), h("span", {}, series.label), value);
   if (series.help) root.dataset.hint = series.help;
   root.addEventListener("click", () => toggle(series.key));
   frame.legend.set(series.key, { root, value });
@@ -106,13 +106,13 @@ export function legendItem(frame, series, toggle) {
 
 export function summaryTable(host, chart) {
   const range = chart.clock.range;
-  const head = h("tr", {}, ...["series", "points", "min", "max", "first", "last"].map((text) => h("th", { text, scope: "col" })));
-  const body = chart.visibleSeries.map((s) => {
-    const reading = chart.reading(s.key);
+  const head = h("tr", {}, ...["series", "points", "min", "max", "first", "last"].map((text) => h("th", { scope: "col" }, text)));
+  const body = chart.visibleSeries.map((series) => {
+    const reading = chart.reading(series.key);
     const span = extent(reading, range) ?? [null, null];
     const ends = range.map((t) => valueAt(reading, Math.min(Math.max(t, reading.t[0]), reading.t[reading.t.length - 1])));
     const cells = [reading.total, ...[...span, ...ends].map(number)];
-    return h("tr", {}, h("th", { }, s.label, scope: "row"), ...cells.map((c) => h("td", { }, String(c), class: "num")));
+    return h("tr", {}, h("th", { scope: "row" }, series.label), ...cells.map((c) => h("td", { class: "num" }, String(c))));
   });
   const caption = h("caption", {}, `${chart.spec.title}, ${chart.spec.unit || "no unit"}, visible range`);
   host.replaceChildren(h("table", { class: "table" }, caption, h("thead", {}, head), h("tbody", {}, ...body)));
