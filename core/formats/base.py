@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from core.formats.mapping import ColumnMap
     from core.run import Run
 
+ENGINE_ERRORS = (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, OverflowError, ValueError)
+"""What polars raises on hostile files; a PanicException is not an Exception."""
+
+MAX_EPOCHLESS_S = 1e8  # no run lasts three years: larger stamps count from some epoch
 KIB, MIB, GIB = 1 << 10, 1 << 20, 1 << 30
 Batch = dict[str, npt.NDArray[np.generic]]
 
@@ -48,6 +52,7 @@ class Table(Protocol):
 
     file: str
     names: tuple[str, ...]
+    typed: bool  # the file states its columns' types
 
     def dtypes(self) -> Mapping[str, pl.DataType]:
         """Column types where the file states them, else those of its first rows."""
@@ -75,7 +80,8 @@ class StreamSource:
     """One stream of an opened run: read it batch by batch.
 
     `columns`: the dtype of each column that every batch has, `t` first (float64). `names`: the categories of a text
-    column (beacon names) in order of appearance, complete once `batches` is exhausted.
+    column (beacon names) in order of appearance, complete once `batches` is exhausted. `sources`: the table's column
+    that each column comes from; `row_column` counts the table's rows where not every row belongs to the stream.
     """
 
     spec: StreamSpec
@@ -83,8 +89,9 @@ class StreamSource:
     columns: Mapping[str, np.dtype[np.generic]]
     frames: Callable[[], Iterator[pl.DataFrame]]
     limits: Limits
+    sources: Mapping[str, str]
     row_column: str | None = None
-    _names: list[str] = field(default_factory=list)
+    names_seen: list[str] = field(default_factory=list)
 
     @property
     def name(self) -> str:
@@ -94,7 +101,7 @@ class StreamSource:
     @property
     def names(self) -> tuple[str, ...]:
         """Categories seen so far."""
-        return tuple(self._names)
+        return tuple(self.names_seen)
 
     def batches(self) -> Iterator[Batch]:
         """Column batches in order, checked: finite and strictly increasing t, no infinity, right types.
@@ -102,8 +109,8 @@ class StreamSource:
         Raises FormatError, with file, stream, row and column, at the first thing that is wrong; and at the end if
         there was no row at all.
         """
-        check = BatchCheck(self.spec, self.table, self.limits, self.columns, self._names, self.row_column)
-        self._names.clear()
+        self.names_seen.clear()
+        check = BatchCheck(self)
         for frame in self.frames():
             if frame.height:
                 yield check.convert(frame)
@@ -162,11 +169,11 @@ class Opening:
 
 @dataclass(frozen=True)
 class Format:
-    """One file format. `sniff(path, head)` says whether the file is one; `head` holds its first bytes."""
+    """One file format. `sniff(name, head)` says whether a file is one; `head` holds its first bytes, None: a folder."""
 
     name: str
     label: str
     suffixes: tuple[str, ...]
-    sniff: Callable[[Path, bytes], bool]
+    sniff: Callable[[str, bytes | None], bool]
     open: Callable[[Path, Opening], RunSource]
     write: Mapping[str, Callable[[Run, Path], None]] = field(default_factory=dict)

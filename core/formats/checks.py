@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
@@ -10,10 +9,9 @@ import numpy.typing as npt
 import polars as pl
 
 from core.errors import FormatError, TooLargeError
-from core.sensors import StreamSpec
 
 if TYPE_CHECKING:
-    from core.formats.base import Batch, Limits, Table
+    from core.formats.base import Batch, StreamSource
 
 Bools = npt.NDArray[np.bool_]
 MAX_NAME_CHARS = 200
@@ -40,17 +38,9 @@ def refuse(file: str, what: str, *, kind: type[FormatError] = FormatError, **whe
 class BatchCheck:
     """Turns the engine's frames of one stream into checked batches; remembers the last stamp between them."""
 
-    def __init__(
-        self,
-        spec: StreamSpec,
-        table: Table,
-        limits: Limits,
-        columns: Mapping[str, np.dtype[np.generic]],
-        names: list[str],
-        row_column: str | None = None,
-    ) -> None:
-        self.spec, self.table, self.limits, self.columns = spec, table, limits, columns
-        self.names, self.row_column = names, row_column
+    def __init__(self, source: StreamSource) -> None:
+        self.source, self.spec, self.table, self.limits = source, source.spec, source.table, source.limits
+        self.columns, self.row_column = source.columns, source.row_column
         self.rows = 0  # checked so far
         self.last = -np.inf
         self._codes: dict[str, int] = {}
@@ -122,13 +112,13 @@ class BatchCheck:
                     column=name,
                 )
             self._codes[value] = len(self._codes)
-            self.names.append(value)
+            self.source.names_seen.append(value)
         return column.replace_strict(self._codes, return_dtype=pl.Int16).to_numpy()
 
     def _bad_number(self, frame: pl.DataFrame, name: str, bad: Bools) -> NoReturn:
         index = int(bad.argmax())
         row = self.row_of(frame, index)
-        raw = self.table.cell(row, name) if self.row_column is None else None
+        raw = self.table.cell(row, self.source.sources[name])
         value = frame[name][index]
         found = shown(raw) if raw else ("an empty cell" if value is None else str(value))
         expected = "a finite stamp in seconds" if name == "t" else "a finite number, or nothing where there is none"
@@ -140,7 +130,7 @@ class BatchCheck:
             f"expected {expected}; found {found}",
             stream=self.spec.name,
             row=self.row_of(frame, index),
-            column=column,
+            column=self.source.sources[column],
             expected=expected,
             found=found,
         )
@@ -158,7 +148,7 @@ class BatchCheck:
             f"stamps must increase strictly; {now!r} {relation} {before!r} of the row above",
             stream=self.spec.name,
             row=self.row_of(frame, index),
-            column="t",
+            column=self.source.sources["t"],
             expected=f"a stamp after {before!r}",
             found=f"{now!r}",
         )

@@ -16,17 +16,19 @@ from typing import NoReturn
 import polars as pl
 
 from core.errors import TooLargeError
-from core.formats.base import Limits
+from core.formats.base import ENGINE_ERRORS, Format, Limits, Opening, RunSource
 from core.formats.checks import refuse, shown
+from core.formats.single import open_single
 
 CHUNK = 1 << 22
-ENGINE_ERRORS = (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, OverflowError, ValueError)
 NUMBER = "a number, or nothing where there is none"
 WIDE_BOMS = {codecs.BOM_UTF32_LE: "UTF-32", codecs.BOM_UTF16_LE: "UTF-16", codecs.BOM_UTF16_BE: "UTF-16"}
 
 
 class CsvTable:
     """An opened CSV file; see `core.formats.base.Table`."""
+
+    typed = False
 
     def __init__(self, path: Path, file: str, limits: Limits, stream: str | None = None) -> None:
         self.path, self.file, self.limits = path, file, limits
@@ -278,3 +280,17 @@ def _not_numbers(cell: pl.Expr, frame: pl.LazyFrame) -> pl.LazyFrame:
     """The rows whose cell has text that the engine does not take for a number."""
     number = cell.str.strip_chars_start(" ").cast(pl.Float64, strict=False)
     return frame.filter(cell.is_not_null() & (cell != "") & number.is_null())
+
+
+def open_csv(path: Path, opening: Opening) -> RunSource:
+    """A run from one CSV file."""
+    return open_single(path, opening, CsvTable, "csv")
+
+
+FORMAT = Format(
+    name="csv",
+    label="CSV table",
+    suffixes=(".csv",),
+    sniff=lambda name, head: head is not None and b"," in head.partition(b"\n")[0] and b"\0" not in head,
+    open=open_csv,
+)

@@ -8,15 +8,17 @@ from pathlib import Path
 import polars as pl
 
 from core.errors import TooLargeError
-from core.formats.base import Limits
+from core.formats.base import ENGINE_ERRORS, Format, Limits, Opening, RunSource
 from core.formats.checks import refuse, shown
+from core.formats.single import open_single
 
 MAGIC = b"PAR1"
-ENGINE_ERRORS = (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, OverflowError, ValueError)
 
 
 class ParquetTable:
     """An opened parquet file; see `core.formats.base.Table`."""
+
+    typed = True
 
     def __init__(self, path: Path, file: str, limits: Limits, stream: str | None = None) -> None:
         self.path, self.file, self.limits = path, file, limits
@@ -102,3 +104,17 @@ class ParquetTable:
             expected="a readable parquet file",
             found=shown(reason, 200),
         )
+
+
+def open_parquet(path: Path, opening: Opening) -> RunSource:
+    """A run from one parquet file."""
+    return open_single(path, opening, ParquetTable, "parquet")
+
+
+FORMAT = Format(
+    name="parquet",
+    label="Parquet table",
+    suffixes=(".parquet",),
+    sniff=lambda name, head: head is not None and head.startswith(MAGIC),
+    open=open_parquet,
+)

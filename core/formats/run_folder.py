@@ -8,14 +8,18 @@ from pathlib import Path, PurePosixPath
 import polars as pl
 
 from core.errors import FormatError
-from core.formats.base import Format, Opening, RunSource
+from core.formats.base import Format, Limits, Opening, RunSource, Table
 from core.formats.checks import refuse, shown
+from core.formats.csv_table import CsvTable
+from core.formats.parquet_table import ParquetTable
 from core.formats.run_json import read_run_json, write_run_json
-from core.formats.streams import TABLES, native_stream, open_table
+from core.formats.streams import native_stream
 from core.run import Run
 from core.sensors import STREAMS, Log, RangeLog
 
 DESCRIPTION = "run.json"
+TABLES: dict[str, type[CsvTable] | type[ParquetTable]] = {".csv": CsvTable, ".parquet": ParquetTable}
+"""Table formats by file suffix."""
 
 
 def open_folder(path: Path, opening: Opening) -> RunSource:
@@ -42,7 +46,7 @@ def open_files(files: dict[str, Path], opening: Opening, label: str, kind: str) 
         )
     streams = tuple(
         native_stream(
-            STREAMS[name], open_table(files[tables[name]], tables[name], opening.limits, name), opening.limits
+            STREAMS[name], _open_table(files[tables[name]], tables[name], opening.limits, name), opening.limits
         )
         for name in STREAMS
         if name in tables
@@ -50,6 +54,10 @@ def open_files(files: dict[str, Path], opening: Opening, label: str, kind: str) 
     ignored = sorted(set(files) - set(tables.values()) - {DESCRIPTION})
     warnings += [f"file {name!r} was ignored: not part of a run" for name in ignored]
     return RunSource(label, kind, meta, streams, warnings)
+
+
+def _open_table(path: Path, file: str, limits: Limits, stream: str) -> Table:
+    return TABLES[PurePosixPath(file).suffix](path, file, limits, stream)
 
 
 def stream_files(names: list[str], label: str) -> dict[str, str]:
@@ -126,7 +134,7 @@ FORMAT = Format(
     name="folder",
     label="run folder",
     suffixes=(),
-    sniff=lambda path, head: path.is_dir(),
+    sniff=lambda name, head: head is None,
     open=open_folder,
     write={"folder-csv": write_csv, "folder-parquet": write_parquet},
 )

@@ -16,8 +16,7 @@ from pathlib import Path, PurePosixPath
 from core.errors import FormatError, TooLargeError
 from core.formats.base import Format, Limits, Opening, RunSource
 from core.formats.checks import refuse, shown
-from core.formats.run_folder import DESCRIPTION, open_files, write_folder
-from core.formats.streams import TABLES
+from core.formats.run_folder import DESCRIPTION, TABLES, open_files, write_folder
 from core.run import Run
 
 CHUNK = 1 << 20
@@ -225,7 +224,7 @@ FORMAT = Format(
     name="zip",
     label="zipped run folder",
     suffixes=(".zip",),
-    sniff=lambda path, head: head.startswith((b"PK\x03\x04", b"PK\x05\x06")),
+    sniff=lambda name, head: head is not None and head.startswith((b"PK\x03\x04", b"PK\x05\x06")),
     open=open_zip,
     write={"zip-csv": write_csv, "zip-parquet": write_parquet},
 )

@@ -4,26 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
 
-from core.formats.base import Limits, RunSource, StreamSource, Table
+from core.formats.base import ENGINE_ERRORS, Limits, RunSource, StreamSource, Table
 from core.formats.checks import refuse, shown
-from core.formats.csv_table import CsvTable
-from core.formats.parquet_table import ENGINE_ERRORS, ParquetTable
 from core.run import Run
 from core.sensors import STREAMS, RangeLog, StreamSpec
-
-TABLES: dict[str, type[CsvTable] | type[ParquetTable]] = {".csv": CsvTable, ".parquet": ParquetTable}
-"""Table formats by file suffix."""
-
-
-def open_table(path: Path, file: str, limits: Limits, stream: str | None = None) -> Table:
-    """A table file by its suffix."""
-    return TABLES[Path(file).suffix](path, file, limits, stream)
 
 
 def native_stream(spec: StreamSpec, table: Table, limits: Limits) -> StreamSource:
@@ -32,12 +21,12 @@ def native_stream(spec: StreamSpec, table: Table, limits: Limits) -> StreamSourc
     present = tuple(c.name for c in spec.columns if c.name in table.names)
     texts = tuple(n for n in present if n in spec.text_columns)
     numbers = tuple(n for n in present if n not in spec.text_columns)
-    columns = column_dtypes(spec, table, {n: n for n in present})
+    sources = {n: n for n in present}
 
     def frames() -> Iterator[pl.DataFrame]:
         return batches_of(table.scan(numbers, texts), table, spec.name)
 
-    return StreamSource(spec, table, columns, frames, limits)
+    return StreamSource(spec, table, column_dtypes(spec, table, sources), frames, limits, sources)
 
 
 def batches_of(frame: pl.LazyFrame, table: Table, stream: str) -> Iterator[pl.DataFrame]:
@@ -54,7 +43,7 @@ def column_dtypes(spec: StreamSpec, table: Table, sources: Mapping[str, str]) ->
 
     `sources` maps the stream's columns to the table's. FormatError where a number is expected and the table says text.
     """
-    types = table.dtypes() if isinstance(table, ParquetTable) else {}
+    types = table.dtypes() if table.typed else {}
     out: dict[str, np.dtype[np.generic]] = {}
     for name, source in sources.items():
         found = types.get(source, pl.String() if name in spec.text_columns else pl.Float64())
