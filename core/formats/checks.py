@@ -56,7 +56,10 @@ class BatchCheck:
             if name in self.spec.text_columns:
                 batch[name] = self._text(frame, name)
             else:
-                values = frame[name].to_numpy().astype(dtype, copy=False)
+                column = frame[name]
+                if not column.dtype.is_float():
+                    column = column.cast(pl.Float64)
+                values = column.to_numpy().astype(dtype, copy=False)
                 batch[name] = values
                 bad = ~np.isfinite(values) if name == "t" else np.isinf(values)
                 if bad.any():

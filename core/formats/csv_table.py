@@ -11,7 +11,7 @@ import csv
 import mmap
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import polars as pl
 
@@ -66,18 +66,21 @@ class CsvTable:
         if self._shape_is_sound:
             return
         line = pl.col("line")
+        unclosed = pl.lit(False)
         if self._holds(b'"'):  # commas between quotes separate nothing
+            unclosed = line.str.count_matches('"', literal=True) % 2 == 1
             line = line.str.replace_all('"[^"]*"', "")
         fields = line.str.count_matches(",", literal=True) + 1
         lines = pl.scan_lines(self.path, name="line", row_index_name="at", glob=False)
-        wrong = lines.filter(pl.col("at") > 0, fields != len(self.names)).with_columns(fields.alias("fields")).head(1)
+        lines = lines.with_columns(fields.alias("fields"), unclosed.alias("unclosed"))
+        wrong = lines.filter(pl.col("at") > 0, (pl.col("fields") != len(self.names)) | pl.col("unclosed")).head(1)
         try:
             found = wrong.collect(engine="streaming")
         except ENGINE_ERRORS as error:
             self._check_encoding(stream)
             self._unreadable(error, stream)
         if found.height:
-            self._ragged(int(found["at"][0]), int(found["fields"][0]), str(found["line"][0]), stream)
+            self._ragged(found.row(0, named=True), stream)
         self._shape_is_sound = True
 
     def cell(self, row: int, column: str) -> str | None:
@@ -249,10 +252,15 @@ class CsvTable:
                     found=text,
                 )
 
-    def _ragged(self, row: int, fields: int, line: str, stream: str | None) -> NoReturn:
-        expected = f"{len(self.names)} fields"
-        found = "a blank line" if not line.strip() else f"{fields} field{'s' * (fields != 1)}: {shown(line)}"
-        refuse(self.file, f"expected {expected}; found {found}", stream=stream, row=row, expected=expected, found=found)
+    def _ragged(self, line: Mapping[str, Any], stream: str | None) -> NoReturn:
+        text, fields, expected = line["line"], line["fields"], f"{len(self.names)} fields"
+        found = f"{fields} field{'s' * (fields != 1)}: {shown(text)}"
+        if not text.strip():
+            found = "a blank line"
+        if line["unclosed"]:
+            found = f"a quote that does not end in its line: {shown(text)}"
+        what = f"expected {expected}; found {found}"
+        refuse(self.file, what, stream=stream, row=line["at"], expected=expected, found=found)
 
     def _unreadable(self, error: BaseException, stream: str | None) -> NoReturn:
         reason = shown((str(error).strip() or type(error).__name__).splitlines()[0], 200)

@@ -51,7 +51,7 @@ def column_dtypes(spec: StreamSpec, table: Table, sources: Mapping[str, str]) ->
             fits, expected = found.is_integer() or found in (pl.String, pl.Categorical, pl.Enum), "text"
             out[name] = np.dtype(np.int16)
         else:
-            fits, expected = found.is_numeric() and not found.is_decimal(), "numbers"
+            fits, expected = (found.is_numeric() and not found.is_decimal()) or found == pl.Null, "numbers"
             narrow = name != "t" and found in (pl.Float32, pl.Float16)
             out[name] = np.dtype(np.float32 if narrow else np.float64)
         if not fits:

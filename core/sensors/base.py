@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from core import timing
 from core.errors import FormatError
 
 Floats = npt.NDArray[np.floating]
@@ -29,7 +30,7 @@ class Column:
 class Log:
     """Readings of one sensor: `t` (N,) float64 [s], strictly increasing; every other column (N,) or None.
 
-    Subclasses add the columns. Lengths are checked here; stamps and values by `check`, once, where data enter.
+    Subclasses add the columns. Lengths are checked here; stamps and values once, where data enter (`core.formats`).
     """
 
     t: Stamps
@@ -60,11 +61,8 @@ class Log:
 
     @property
     def rate(self) -> float:
-        """Typical sampling rate [Hz]: one over the median step; 0 with fewer than two readings."""
-        if len(self) < 2:
-            return 0.0
-        step = float(np.median(np.diff(self.t[:: max(1, len(self) // 100_000)]))) / max(1, len(self) // 100_000)
-        return 1.0 / step if step > 0 else 0.0
+        """Typical sampling rate [Hz], robust against jitter, rounding and pauses; 0 with fewer than two readings."""
+        return timing.rate(self.t)
 
 
 @dataclass(frozen=True)
