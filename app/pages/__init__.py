@@ -8,9 +8,12 @@ from __future__ import annotations
 
 from fastapi import APIRouter
 
-from app.pages import about
+from app.pages import about, compare, jobs, runs
 
 PAGES: dict[str, APIRouter] = {
+    "runs": runs.router,
+    "compare": compare.router,
+    "jobs": jobs.router,
     "about": about.router,
 }
 """Every page's router by its stem; `app.main` includes them all."""

@@ -27,9 +27,11 @@ function glyph(path) {
 
 export function buildFrame(host, spec, { tool }) {
   const title = h("span", { class: "chart-title" }, spec.title);
-  if (spec.help) title.dataset.hint = spec.help;
   const unit = h("span", { class: "chart-unit" }, spec.unit || "");
   const sampling = h("span", { class: "chart-sampling" });
+  if (spec.help) title.dataset.hint = spec.help;
+  if (spec.term) title.dataset.term = spec.term;
+  sampling.dataset.term = "sampling";
   const menu = exportMenu(spec.title, TOOLS, tool);
   const head = h("figcaption", { class: "chart-head" }, title, unit, sampling, menu);
   if (spec.onEnlarge) {

@@ -2,11 +2,12 @@
 // time cursor: zooming one zooms all, and each asks the server again for as many points as it has room for.
 //
 //   const chart = createChart(host, {
-//     id: "error-xy", title: "Position error", unit: "m", help: "what it is, how computed", guide: "/guide/...",
+//     id: "error-xy", title: "Position error", unit: "m", term: "error_xy" (terms.js), help: "own words",
 //     series: [{ key: "fused", label: "fused", color: "--method-fused", dash: [], on: true, style: "line" | "dots" }],
 //     clock,                                    // timecursor.js; absent: the chart keeps its own range over `domain`
 //     load: async ({ t0, t1, points, signal }) => ({ series: { fused: { t, y, total, shown } },
 //                                                    bands: { fused: { t, mid, sd } }, gaps: [[t0, t1]] }),
+//     bandFor: (keys) => key,                   // absent: the bands of all visible series
 //     log: { x: false, y: false }, domain: [x0, x1], xLabel: "τ", xUnit: "s", showTime: true, zero: false,
 //     onToggle: (key, on) => {}, onEnlarge: () => {}, fileName: "run-error",
 //   });
@@ -57,8 +58,11 @@ export function createChart(host, spec) {
       return spec.series.filter((s) => visible.get(s.key) && current.readings.has(s.key));
     },
     reading: (key) => current.readings.get(key),
+    // Bands lie on each other: only one is shown where the spec says which.
     get bands() {
-      return current.bands.filter((b) => visible.get(b.key));
+      const shown = current.bands.filter((b) => visible.get(b.key));
+      const one = spec.bandFor?.(shown.map((b) => b.key));
+      return spec.bandFor ? shown.filter((b) => b.key === one) : shown;
     },
     get gaps() {
       return current.gaps;

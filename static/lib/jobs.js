@@ -99,5 +99,5 @@ export function startJobsPill() {
   };
   pill.addEventListener("click", () => open(panel.hidden));
   watchJobs(take);
-  for (const state of ACTIVE) api(`jobs?state=${state}`).then((page) => (page.items ?? page).forEach(take)).catch(() => {});
+  api("jobs?state=active").then((page) => (page.items ?? page).forEach(take)).catch(() => {});
 }

@@ -1,8 +1,9 @@
 // The map: paths of every method on the floor, seen from above; metres, equal axes, y up.
 //
-//   const map = createMap(host, { clock, subject: "corridor lap 3", fileName: "corridor", onFollowBroken: () => {} });
+//   const map = createMap(host, { clock, subject: "corridor lap 3", fileName: "corridor" });
 //   map.setPaths([{ method, label, color, dash, width, dots, t, x, y, theta, sd_x, sd_y, sd_theta, cov_xy }], beacons);
 //   map.setVisible(method, on); map.setEvents(method, [{ kind, t0, t1 }]); map.setLead(method); map.fit();
+//   map.setView([x, y, scale]); map.onView = (view) => {}; map.say(text);
 //
 // Mouse: wheel zooms, drag pans, click sets the time, double-click fits. Touch: drag pans, two fingers zoom.
 // Keyboard, when focused: arrows pan, + - zoom, Home fits.
@@ -33,7 +34,8 @@ export function createMap(host, { clock, subject = "", fileName = "path" }) {
   const fitButton = h("button", { type: "button", class: "map-tool", "aria-label": "Fit", "data-hint": "Fit all paths (Home)" }, toolIcon("M3 7V3h4M13 3h4v4M17 13v4h-4M7 17H3v-4"));
   ellipses.setAttribute("aria-label", "Ellipses along the paths");
   const tools = h("div", { class: "map-tools" }, fitButton, ellipses, exportMenu("map", TOOLS, tool));
-  const root = h("div", { class: "map", "data-map": "" }, base, top, tools, tip);
+  const message = h("p", { class: "map-message", role: "status", hidden: true });
+  const root = h("div", { class: "map", "data-map": "" }, base, top, message, tools, tip);
   host.append(root);
 
   const view = createView();
@@ -49,6 +51,7 @@ export function createMap(host, { clock, subject = "", fileName = "path" }) {
 
   const map = {
     view,
+    onView: () => {}, // called with [x, y, scale] after the user moved the view, with null where it fits
     get shown() {
       return paths.filter((p) => visible.get(p.method) !== false);
     },
@@ -70,9 +73,20 @@ export function createMap(host, { clock, subject = "", fileName = "path" }) {
     setLead(method) {
       lead = method;
     },
+    // [x, y, px per m]: a view that a link restores.
+    setView([x, y, scale]) {
+      fitted = false;
+      Object.assign(view, { x, y, scale });
+      redraw(2);
+    },
+    say(text) {
+      message.hidden = !text;
+      message.textContent = text;
+    },
     fit() {
       fitted = true;
       view.fit(bounds(map.shown.length ? map.shown : paths, beacons));
+      tellView();
       redraw(2);
     },
     destroy() {
@@ -156,8 +170,15 @@ export function createMap(host, { clock, subject = "", fileName = "path" }) {
 
   // ---- what the user does
 
+  let viewTimer = 0;
+  function tellView() {
+    clearTimeout(viewTimer);
+    viewTimer = setTimeout(() => map.onView(fitted ? null : [view.x, view.y, view.scale]), 250);
+  }
+
   function moved() {
     fitted = false;
+    tellView();
     under = null;
     tip.hidden = true;
     redraw(2);
