@@ -9,24 +9,25 @@ import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
-from core.formats.mapping import ColumnMap
-from core.timing import gaps
+import polars as pl
 
-from app.errors import DiskFullError
+from app.errors import DiskFullError, NotFoundError
 from app.store import arrays
-from core.formats import Limits, open_run
-from core.formats.base import RunSource, StreamSource
-from core.formats.run_json import meta_to_json
+from core.errors import NeedsMappingError
+from core.formats import UNITS, Limits, RunSource, StreamSource, meta_to_json, open_run, sniff, suggest_mapping
 from core.robot import RobotParams
-from core.sensors import Log
+from core.timing import gaps, rate
 
 Progress = Callable[[float, str], None]
 GAPS_KEPT = 100
 SPARKLINE_POINTS = 64
+ROWS_SHOWN = 8
+TABLES = ("csv", "parquet")  # formats that are one table
+TEXT_TYPES = ("String", "Categorical", "Enum", "Binary")
 FREE_MARGIN = 64 << 20  # bytes of disk that an ingest leaves free
 
 
@@ -56,11 +57,14 @@ def ingest_file(
     the errors of `core.formats`, DiskFullError before starting where there is no room, OSError(ENOSPC) when it ends
     on the way, and whatever `progress` raises.
     """
+    if not path.exists():
+        raise NotFoundError(f"the bytes of {options.file_name} are gone: upload it again", what="upload")
     check_room(data, _size(path))
-    mapping = ColumnMap.from_json(options.mapping) if options.mapping else None
     limits = Limits(max_unpacked_bytes=options.max_unpacked_bytes) if options.max_unpacked_bytes else Limits()
     with contextlib.ExitStack() as stack:
-        source = stack.enter_context(open_run(path, limits=limits, mapping=mapping))
+        source = stack.enter_context(
+            open_run(path, limits=limits, mapping=options.mapping, tmp=_unpacking(data), name=options.file_name)
+        )
         streams = list(source.streams())
         written = []
         for i, stream in enumerate(streams):
@@ -69,6 +73,42 @@ def ingest_file(
         described = [_describe(data, stream, writers) for stream, writers in zip(streams, written, strict=True)]
     progress(1.0, "stored")
     return _manifest(data, source, described, options, path)
+
+
+def look_inside(path: Path, file_name: str) -> dict[str, Any]:
+    """What an uploaded table holds: its columns, first rows as text, and a guess at a mapping (`UploadColumns`).
+
+    Raises the errors of `core.formats` for what can't be read at all.
+    """
+    kind, needs_mapping = sniff(path, file_name).name, False
+    types: dict[str, str] = {}
+    try:
+        with open_run(path, name=file_name) as source:
+            if kind in TABLES:
+                types = {name: str(dtype) for name, dtype in source.sources[0].table.dtypes().items()}
+    except NeedsMappingError as error:
+        needs_mapping = True
+        types.update(cast("dict[str, str]", error.where["types"]))
+    return {
+        "file_name": file_name,
+        "needs_mapping": needs_mapping,
+        "columns": [{"name": n, "type": "text" if t in TEXT_TYPES else "number"} for n, t in types.items()],
+        "rows": _first_rows(path, kind),
+        "suggested": suggest_mapping(types).to_json(),
+        "units": {si: list(units) for si, units in UNITS.items()},
+    }
+
+
+def _first_rows(path: Path, kind: str) -> list[dict[str, str | None]]:
+    if kind not in TABLES:
+        return []
+    if kind == "csv":
+        frame = pl.read_csv(path, n_rows=ROWS_SHOWN, infer_schema=False, truncate_ragged_lines=True, glob=False)
+    else:
+        head = pl.scan_parquet(path, glob=False).head(ROWS_SHOWN)
+        frame = head.select(pl.all().cast(pl.String, strict=False)).collect()
+    rows: list[dict[str, str | None]] = frame.to_dicts()
+    return rows
 
 
 def check_room(data: Path, needed: int) -> None:
@@ -82,6 +122,13 @@ def check_room(data: Path, needed: int) -> None:
             needed_bytes=needed + FREE_MARGIN,
             free_bytes=free,
         )
+
+
+def _unpacking(data: Path) -> Path:
+    """Where archives are unpacked: on the disk that was checked for room."""
+    folder = data / "tmp"
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
 
 
 def _size(path: Path) -> int:
@@ -118,7 +165,7 @@ def _describe(data: Path, stream: StreamSource, writers: Mapping[str, arrays.Wri
         "rows": int(t.shape[0]),
         "t0": float(t[0]),
         "t1": float(t[-1]),
-        "rate_hz": Log(t).rate,
+        "rate_hz": rate(t),
         "gaps": pauses[longest].tolist(),
         "columns": columns,
         "names": list(stream.names),
@@ -196,4 +243,5 @@ def _thinned(x: npt.NDArray[Any], y: npt.NDArray[Any], points: int) -> npt.NDArr
 
 
 def _rounded(xy: npt.NDArray[np.float64]) -> list[list[float]]:
-    return _thinned(xy[:, 0], xy[:, 1], SPARKLINE_POINTS).round(3).tolist()
+    points: list[list[float]] = _thinned(xy[:, 0], xy[:, 1], SPARKLINE_POINTS).round(3).tolist()
+    return points

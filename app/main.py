@@ -11,18 +11,27 @@ from starlette.middleware import Middleware
 from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 from starlette.staticfiles import StaticFiles
 
-from app import errors, login, openapi, paths
+from app import errors, housekeeping, jobs, login, openapi, paths
+from app.api import estimates, files, mappings, runs, streams, uploads
+from app.api import jobs as job_api
 from app.db.migrate import migrate
-from app.db.session import make_engine, writing
+from app.db.session import make_engine
 from app.pages import PAGES
 from app.security import Guard
 from app.settings import Settings
-from app.store import runs as run_store
 
-API_ROUTERS: tuple[APIRouter, ...] = ()  # under /api/v1
+API_ROUTERS: tuple[APIRouter, ...] = (  # under /api/v1
+    runs.router,
+    uploads.router,
+    streams.router,
+    files.router,
+    mappings.router,
+    estimates.router,
+    job_api.router,
+)
 PAGE_ROUTERS: tuple[APIRouter, ...] = (login.router, *PAGES.values())  # at the root
 # What runs beside the server, entered in this order at its start and left in the reverse order at its end.
-SERVICES: tuple[Callable[[FastAPI], AbstractAsyncContextManager[None]], ...] = ()
+SERVICES: tuple[Callable[[FastAPI], AbstractAsyncContextManager[None]], ...] = (jobs.service, housekeeping.service)
 
 NOT_COMPRESSED = (*DEFAULT_EXCLUDED_CONTENT_TYPES, "application/vnd.apache.arrow.stream", "application/octet-stream")
 
@@ -45,6 +54,7 @@ def create_app(settings: Settings) -> FastAPI:
         ],
     )
     app.state.settings = settings
+    app.state.busy_uploads, app.state.followers = set(), set()
     errors.install(app)
     for router in API_ROUTERS:
         app.include_router(router, prefix="/api/v1")
@@ -62,18 +72,9 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     app.state.engine = make_engine(settings.url)
     try:
         migrate(app.state.engine)
-        _tidy(app)
         async with AsyncExitStack() as stack:
             for service in SERVICES:
                 await stack.enter_async_context(service(app))
             yield
     finally:
         app.state.engine.dispose()
-
-
-def _tidy(app: FastAPI) -> None:
-    """Drop for good what has waited long enough: deleted runs, forgotten uploads, arrays that nothing names."""
-    settings: Settings = app.state.settings
-    with writing(app.state.engine) as session:
-        run_store.purge(session, settings.undo_hours)
-        run_store.collect_arrays(session, settings.data)

@@ -23,9 +23,11 @@ class Settings:
     database_url: str | None = None  # default: SQLite in `data`
     scheduler: str | None = None  # address of a Dask scheduler; default: embedded cluster
     workers: int = 2  # processes of the embedded cluster
+    worker_memory_bytes: int = 6 * GIB  # a worker that grows beyond this is killed, and its job with it
     max_upload_bytes: int = 8 * GIB
     max_unpacked_bytes: int = 16 * GIB
     undo_hours: float = 24.0
+    upload_hours: float = 48.0  # an upload that nobody touched for so long is dropped
     demo: bool = False
     allowed_hosts: tuple[str, ...] = ("127.0.0.1", "localhost", "::1")  # names that a loopback server answers to
 

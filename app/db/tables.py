@@ -191,6 +191,7 @@ class Upload(Base):
     sha256: Mapped[str | None] = mapped_column(String(64))
     received: Mapped[int] = mapped_column(BigInteger, default=0)
     options: Mapped[dict[str, Any]]  # name, robot, tags, mapping
+    job_id: Mapped[str | None] = mapped_column(String(16))  # the job that reads it; none while bytes may still come
     created_at: Mapped[datetime] = mapped_column(default=now)
     touched_at: Mapped[datetime] = mapped_column(default=now, index=True)
 

@@ -16,11 +16,11 @@ from app.db.tables import Estimate, Robot, Run, Stream, Tag, now
 from app.errors import ConflictError, NotFoundError
 from app.settings import Settings
 from app.store import arrays
-from app.store.run_list import RunPage, RunQuery, list_runs
+from app.store.run_list import MAX_LIMIT, SORTS, RunPage, RunQuery, list_runs
 from core.errors import ParameterError
 from core.run import Run as CoreRun
 
-__all__ = ["RunPage", "RunQuery", "list_runs"]
+__all__ = ["MAX_LIMIT", "SORTS", "RunPage", "RunQuery", "list_runs"]
 
 NAME_LENGTH, TAG_LENGTH, TAGS, NOTES_LENGTH = 200, 60, 50, 100_000
 
