@@ -1,0 +1,1 @@
+"""The IMU room: noise, gyro bias, calibration and correction. From a still log to filter settings."""
