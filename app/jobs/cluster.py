@@ -1,0 +1,130 @@
+"""The Dask side of the jobs: an embedded cluster on loopback, or a scheduler by its address. Knows no database.
+
+Dask's wire carries pickled functions, so whoever reaches the scheduler can run code: the embedded one listens on
+127.0.0.1 only; one at an address belongs on a private network, or behind TLS (`DASK_DISTRIBUTED__COMM__TLS__*`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import logging
+import os
+import secrets
+import signal
+from collections.abc import Callable
+from typing import Any
+
+from app.settings import Settings
+
+log = logging.getLogger("driftscope.jobs")
+
+CONFIG: dict[str, Any] = {
+    # A task whose worker dies comes back at once: the engine counts attempts, not Dask.
+    "distributed.scheduler.allowed-failures": 0,
+    # No status pages, and no spilling: a worker over its limit is killed, and the job with it.
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+    "distributed.worker.memory.target": False,
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": False,
+    "distributed.worker.memory.terminate": 0.98,
+}
+CONNECT_S = 10.0
+CLOSE_S = 1.0
+
+
+class Cluster:
+    """Where tasks run. `connect` first; then `submit`, at most `slots` at a time."""
+
+    def __init__(self, settings: Settings, on_event: Callable[[dict[str, Any]], None]) -> None:
+        self._settings, self._on_event = settings, on_event
+        self._client: Any = None
+        self._local: Any = None
+        self.topic = f"driftscope-{secrets.token_hex(8)}"  # two dashboards may share one scheduler
+
+    @property
+    def connected(self) -> bool:
+        """Whether tasks can be sent."""
+        return self._client is not None and self._client.status == "running"
+
+    def connect(self) -> None:
+        """Start the embedded cluster, or connect to the scheduler. Raises OSError if that one doesn't answer."""
+        dask: Any = importlib.import_module("dask")
+        distributed: Any = importlib.import_module("distributed")  # slow to import: with the first job only
+        if self._client is not None:
+            self.close()
+        dask.config.set(CONFIG)
+        logging.getLogger("distributed").setLevel(logging.ERROR)
+        target: Any = self._settings.scheduler
+        if target is None:
+            target = self._local = self._start_local(distributed)
+        self._client = distributed.Client(target, timeout=CONNECT_S, set_as_default=False, name="driftscope")
+        self._client.subscribe_topic(self.topic, lambda event: self._on_event(event[1]))
+
+    def _start_local(self, distributed: Any) -> Any:
+        import psutil
+
+        return distributed.LocalCluster(
+            n_workers=self._settings.workers,
+            threads_per_worker=1,
+            processes=True,
+            host="127.0.0.1",
+            protocol="tcp://",
+            memory_limit=min(self._settings.worker_memory_bytes, int(0.75 * psutil.virtual_memory().total)),
+            dashboard_address=None,
+            worker_dashboard_address=None,
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
+            silence_logs=logging.CRITICAL,
+        )
+
+    @property
+    def slots(self) -> int:
+        """How many tasks can run at once: one per worker thread, 0 while no worker is there."""
+        return sum(self._workers().values())
+
+    def _workers(self) -> dict[str, int]:
+        if not self.connected:
+            return {}
+        return {address: w["nthreads"] for address, w in self._client.scheduler_info(n_workers=-1)["workers"].items()}
+
+    def submit(self, key: str, function: Callable[..., Any], *args: Any, done: Callable[[Any], None]) -> Any:
+        """Run `function(*args)` in a worker; `done` is called, from another thread, once it ended in any way."""
+        future = self._client.submit(function, *args, key=key, pure=False)
+        future.add_done_callback(done)
+        return future
+
+    def warm(self, function: Callable[[], Any]) -> list[Any]:
+        """Run `function` once in every worker process there is."""
+        if not self.connected:
+            return []
+        return [
+            self._client.submit(function, workers=[address], key=f"warm-{secrets.token_hex(4)}", pure=False)
+            for address in self._workers()
+        ]
+
+    def kill(self, key: str) -> None:
+        """Stop a task that doesn't listen, by restarting the worker that runs it."""
+        if not self.connected:
+            return
+        busy = [address for address, keys in self._client.processing().items() if key in keys]
+        self._client.cancel([key], force=True)
+        if busy:
+            self._client.restart_workers(busy, timeout=CONNECT_S, raise_for_error=False)
+
+    def close(self) -> None:
+        """Disconnect; of the embedded cluster nothing is left running."""
+        local, client, self._local, self._client = self._local, self._client, None, None
+        if local is not None:
+            # What still runs is taken up again at the next start; waiting for it would hold up the server's stop.
+            for nanny in local.workers.values():
+                nanny.auto_restart = False
+                if nanny.pid is not None:
+                    with contextlib.suppress(ProcessLookupError):
+                        os.kill(nanny.pid, signal.SIGKILL)
+        if client is not None:
+            with contextlib.suppress(TimeoutError, OSError):
+                client.close(timeout=CLOSE_S)
+        if local is not None:
+            with contextlib.suppress(TimeoutError, OSError):
+                local.close(timeout=CLOSE_S)

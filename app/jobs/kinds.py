@@ -1,0 +1,77 @@
+"""The kinds of jobs: what a worker gets, what it runs, what the dashboard then stores. To add one: a row in KINDS."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from app.db.tables import Estimate, Job
+from app.errors import NotFoundError
+from app.jobs import tasks
+from app.settings import Settings
+from app.store import jobs, results, runs
+
+
+@dataclass(frozen=True)
+class Saved:
+    """What a finished job made (`result`, ids), in a sentence, and the jobs that follow from it (kind, run, params)."""
+
+    result: dict[str, Any]
+    message: str
+    run_id: str | None = None
+    follow: tuple[tuple[str, str | None, dict[str, Any]], ...] = ()
+
+
+@dataclass(frozen=True)
+class Kind:
+    """`arguments` reads from the database what `task` needs in a worker; `save` writes what comes back."""
+
+    label: str
+    task: Callable[..., Any]
+    arguments: Callable[[Session, Settings, Job], dict[str, Any]]
+    save: Callable[[Session, Settings, Job, Any], Saved]
+
+
+def _ingest_arguments(session: Session, settings: Settings, job: Job) -> dict[str, Any]:
+    """`path` of an upload, relative to the data folder, or of any file or folder on this machine."""
+    path = job.params["path"]
+    if not (settings.data / path).exists():
+        raise NotFoundError("the uploaded file is gone: send it again", what="upload", id=job.params.get("upload"))
+    return {"path": path, "options": job.params["options"]}
+
+
+def _ingest_save(session: Session, settings: Settings, job: Job, manifest: dict[str, Any]) -> Saved:
+    run = runs.add_run(session, manifest, is_example=bool(job.params.get("is_example")))
+    estimated = session.scalars(select(Estimate.id).filter_by(run_id=run.id).limit(1)).first()
+    waiting = jobs.list_jobs(session, states=["active"], run_id=run.id, limit=1)
+    saved = Saved({"run_id": run.id}, f"stored as {run.name}", run.id)
+    if estimated or waiting:
+        return saved
+    return replace(saved, follow=(("estimate", run.id, {"methods": None, "config": {}}),))
+
+
+def _estimate_arguments(session: Session, settings: Settings, job: Job) -> dict[str, Any]:
+    assert job.run_id is not None
+    manifest = runs.manifest(session, job.run_id)
+    return {"manifest": manifest, "methods": job.params.get("methods"), "config": job.params.get("config") or {}}
+
+
+def _estimate_save(session: Session, settings: Settings, job: Job, made: dict[str, Any]) -> Saved:
+    assert job.run_id is not None
+    ids = results.save_estimates(session, settings.data, job.run_id, job.id, made["estimates"])
+    if not ids:
+        return Saved({"run_id": job.run_id, "estimates": []}, "no method can run on this run", job.run_id)
+    message = ", ".join(e["method"] for e in made["estimates"])
+    if made["failed"]:
+        message += "; failed: " + "; ".join(f"{f['method']}: {f['detail']}" for f in made["failed"])
+    return Saved({"run_id": job.run_id, "estimates": ids, "failed": made["failed"]}, message, job.run_id)
+
+
+KINDS: dict[str, Kind] = {
+    "ingest": Kind("store an upload", tasks.ingest, _ingest_arguments, _ingest_save),
+    "estimate": Kind("estimate paths", tasks.estimate, _estimate_arguments, _estimate_save),
+}
