@@ -11,10 +11,11 @@ from pathlib import Path, PurePath
 
 from core.errors import FormatError, ParameterError, UnknownFormatError
 from core.formats import csv_table, parquet_table, run_folder, run_zip, tum
-from core.formats.base import Batch, Format, Limits, Opening, RunSource, StreamSource
+from core.formats.base import Batch, Format, Limits, Opening, RunSource, StreamSource, Table
 from core.formats.kitti import write_kitti
 from core.formats.mapping import UNITS, ColumnMap, ColumnSource, suggest_mapping
 from core.formats.run_json import meta_from_json, meta_to_json
+from core.formats.single import fitting_stream
 from core.formats.streams import read_all
 from core.run import Run
 from core.trajectory import Trajectory
@@ -74,6 +75,16 @@ def open_run(
     return sniff(path, name).open(path, Opening(limits or Limits(), mapping, tmp, name))
 
 
+def open_table(path: Path, name: str | None = None, limits: Limits | None = None) -> Table:
+    """A CSV or parquet file by itself, to look into: its column names, types and first rows."""
+    found = sniff(path, name)
+    if found.table is None:
+        raise UnknownFormatError(
+            f"{name or path.name}: expected one table; found a {found.label}", file=name or path.name
+        )
+    return found.table(path, name or path.name, limits or Limits())
+
+
 def read_run(
     path: Path,
     *,
@@ -115,9 +126,12 @@ __all__ = [
     "Limits",
     "RunSource",
     "StreamSource",
+    "Table",
+    "fitting_stream",
     "meta_from_json",
     "meta_to_json",
     "open_run",
+    "open_table",
     "read_run",
     "sniff",
     "suggest_mapping",

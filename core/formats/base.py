@@ -74,6 +74,10 @@ class Table(Protocol):
         """The text of one cell as the file has it (row 1 is the first data row), for messages."""
         ...
 
+    def head(self, rows: int) -> list[tuple[str | None, ...]]:
+        """The first rows as text, in the order of `names`."""
+        ...
+
 
 @dataclass
 class StreamSource:
@@ -176,4 +180,5 @@ class Format:
     suffixes: tuple[str, ...]
     sniff: Callable[[str, bytes | None], bool]
     open: Callable[[Path, Opening], RunSource]
+    table: Callable[[Path, str, Limits], Table] | None = None  # for formats that are one table
     write: Mapping[str, Callable[[Run, Path], None]] = field(default_factory=dict)

@@ -21,6 +21,7 @@ from core.formats.checks import refuse, shown
 from core.formats.single import open_single
 
 CHUNK = 1 << 22
+SAMPLE_ROWS = 100
 NUMBER = "a number, or nothing where there is none"
 WIDE_BOMS = {codecs.BOM_UTF32_LE: "UTF-32", codecs.BOM_UTF16_LE: "UTF-16", codecs.BOM_UTF16_BE: "UTF-16"}
 
@@ -39,7 +40,7 @@ class CsvTable:
 
     def dtypes(self) -> Mapping[str, pl.DataType]:
         """Float64 where the first rows hold numbers, else String."""
-        sample = self._texts().head(100).collect().lazy()
+        sample = pl.LazyFrame(self.head(SAMPLE_ROWS), dict.fromkeys(self.names, pl.String()), orient="row")
         return {
             name: pl.Float64() if _not_numbers(pl.col(name), sample).collect().is_empty() else pl.String()
             for name in self.names
@@ -92,6 +93,14 @@ class CsvTable:
         except ENGINE_ERRORS:
             return None
         return found.item() if found.height else None
+
+    def head(self, rows: int) -> list[tuple[str | None, ...]]:
+        """The first rows as text."""
+        try:
+            return self._texts().head(rows).collect(engine="streaming").rows()
+        except ENGINE_ERRORS as error:
+            self._check_encoding(None)
+            self._unreadable(error, None)
 
     def _scan(
         self, schema: dict[str, pl.DataType], *, row_index_name: str | None = None, ragged: bool = False
@@ -301,4 +310,5 @@ FORMAT = Format(
     suffixes=(".csv",),
     sniff=lambda name, head: head is not None and b"," in head.partition(b"\n")[0] and b"\0" not in head,
     open=open_csv,
+    table=CsvTable,
 )

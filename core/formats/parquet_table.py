@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import NoReturn
 
 import polars as pl
 
@@ -60,6 +61,14 @@ class ParquetTable:
         """Typed columns show their value themselves."""
         return None
 
+    def head(self, rows: int) -> list[tuple[str | None, ...]]:
+        """The first rows as text."""
+        try:
+            texts = pl.all().cast(pl.String, strict=False)
+            return pl.scan_parquet(self.path, glob=False).head(rows).select(texts).collect(engine="streaming").rows()
+        except ENGINE_ERRORS as error:
+            self._broken(error, None)
+
     def _check_footer(self, stream: str | None) -> None:
         size = self.path.stat().st_size
         with self.path.open("rb") as f:
@@ -95,7 +104,7 @@ class ParquetTable:
                 found=length,
             )
 
-    def _broken(self, error: BaseException, stream: str | None) -> None:
+    def _broken(self, error: BaseException, stream: str | None) -> NoReturn:
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
         refuse(
             self.file,
@@ -117,4 +126,5 @@ FORMAT = Format(
     suffixes=(".parquet",),
     sniff=lambda name, head: head is not None and head.startswith(MAGIC),
     open=open_parquet,
+    table=ParquetTable,
 )

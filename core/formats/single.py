@@ -44,7 +44,10 @@ def open_single(path: Path, opening: Opening, make: MakeTable, kind: str) -> Run
 
 
 def fitting_stream(table: Table, name: str) -> StreamSpec | None:
-    """The stream whose columns the table has, exactly; where two fit (beacon, truth), the one the file is named for."""
+    """The stream that the table's columns are; where two fit (beacon, truth), the one named as the file's stem `name`.
+
+    None where the columns are foreign and need a mapping.
+    """
     names = set(table.names)
     fits = [
         spec

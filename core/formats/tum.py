@@ -81,6 +81,10 @@ class TumTable:
         """Lines are shown whole, by `check_shape`."""
         return None
 
+    def head(self, rows: int) -> list[tuple[str | None, ...]]:
+        """The first rows as text."""
+        return self.scan(self.names, ()).head(rows).select(pl.all().cast(pl.String)).collect().rows()
+
     def _cells(self) -> pl.LazyFrame:
         line = pl.col("line").str.strip_chars()
         lines = pl.scan_lines(self.path, name="line", glob=False).select(line)
