@@ -92,13 +92,15 @@ def render(request: Request, page: Page, status: int = 200) -> Response:
     """The page as HTML, or as JSON where the path ends in `.json`."""
     if request.url.path.endswith(".json"):
         return JSONResponse(jsonable_encoder(as_dict(page)), status_code=status)
+    return HTMLResponse(html(request, page), status_code=status, headers={"Cache-Control": "no-cache"})
+
+
+def html(request: Request, page: Page) -> str:
+    """The page in its frame, in the reader's colours."""
     theme = request.cookies.get("theme", "auto")
-    html = (
-        environment()
-        .get_template(page.template)
-        .render(as_dict(page), place=page.place, theme=theme if theme in THEMES else "auto", request=request)
-    )
-    return HTMLResponse(html, status_code=status, headers={"Cache-Control": "no-cache"})
+    template = environment().get_template(page.template)
+    shown = theme if theme in THEMES else "auto"
+    return template.render(as_dict(page), place=page.place, theme=shown, request=request)
 
 
 def route(router: APIRouter, path: str) -> Callable[[Handler], Handler]:
