@@ -61,7 +61,7 @@ FLOOR_TILT = Effect(
     id="floor_tilt",
     family="ground",
     label="tilted floor",
-    equation="ax += g*(sx*cos(theta) + sy*sin(theta)), ay += g*(sy*cos(theta) - sx*sin(theta)) in the body, g = 9.80665",
+    equation="ax += g*(sx*cos(theta) + sy*sin(theta)), ay += g*(sy*cos(theta) - sx*sin(theta)) in the body",
     parameters=(
         Parameter("slope_x", "", 0.0, -0.5, 0.5, small=6e-4),
         Parameter("slope_y", "", 0.0, -0.5, 0.5, small=6e-4),

@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import get_num_threads, njit, prange
+from numba import njit, prange
 
-from core.simulation._rollout_numba import EDGE, NODE, OPTIONS, rollout
+from core.simulation._drive_numba import compiled
+from core.simulation._rollout_numba import EDGE, NODE, rollout
 from core.simulation._sense_numba import sense_beacon, sense_imu, sense_pose, sense_ranges, sense_wheels
 
 Array = npt.NDArray[np.float64]
@@ -18,10 +19,10 @@ Indices = npt.NDArray[np.int64]
 class Inputs(NamedTuple):
     """What the kernels need of a run.
 
-    times, left, right (C,): command stamps and rim set-points [m/s]. wheels, beacon, ranges, truth: stamps [s], empty
-    where the stream is absent. imu (N,) stamps, warmth (N,) temperature - first [K], grid (G,) window edges in the
-    IMU's stamps, lo, hi (N,) each sample's edges. anchor (M,) beacon index of each range, anchors (A, 3) [m].
-    restarts (K, 4): t, x, y, theta at which the pose is set anew.
+    times (C,): command stamps; left, right (C, 2): rim set-points [m/s] and slopes. wheels, beacon, ranges, truth:
+    stamps [s], empty where the stream is absent. imu (N,): stamps; warmth (N,): temperature - first [K]; grid (G,):
+    window edges in the IMU's stamps; lo, hi (N,): each sample's edges. anchor (M,): beacon index of each range;
+    anchors (A, 3) [m]. restarts (K, 4): t, x, y, theta at which the pose is set anew.
     """
 
     times: Array
@@ -63,9 +64,21 @@ class Outputs(NamedTuple):
     theta: Array
 
 
-@njit(**OPTIONS)
-def simulate_every(sets, ends, inputs, capacity, out, status, first, step):
-    """Parameter sets first, first + step, ... of `sets` (B, SLOTS), each to its end (B,) [s]; status (B,): nodes or -1."""
+@compiled
+def simulate_every(
+    sets: Array,
+    ends: Array,
+    inputs: Inputs,
+    capacity: int,
+    out: Outputs,
+    status: Indices,
+    first: int,
+    step: int,
+) -> None:
+    """Parameter sets first, first + step, ... of `sets` (B, SLOTS), each to its end (B,) [s].
+
+    status (B,) gets the number of nodes, or -1 where `capacity` was too small.
+    """
     nodes = np.empty((capacity, NODE))
     edges = np.empty((inputs.grid.shape[0], EDGE))
     for b in range(first, sets.shape[0], step):
@@ -85,8 +98,9 @@ def simulate_every(sets, ends, inputs, capacity, out, status, first, step):
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def simulate_batch(sets, ends, inputs, capacity, out, status):
-    """`simulate_every`, the sets dealt out over all cores."""
-    workers = min(get_num_threads(), sets.shape[0])
+def simulate_batch(
+    sets: Array, ends: Array, inputs: Inputs, capacity: int, out: Outputs, status: Indices, workers: int
+) -> None:
+    """`simulate_every`, the sets dealt out over `workers` threads."""
     for k in prange(workers):
         simulate_every(sets, ends, inputs, capacity, out, status, k, workers)

@@ -36,8 +36,8 @@ def prepare(run: Run, restarts: Array | None = None) -> Inputs:
     anchor, anchors = beacon_table(run)
     return Inputs(
         times=times,
-        left=left,
-        right=right,
+        left=_with_slopes(times, left),
+        right=_with_slopes(times, right),
         restarts=NO_RESTARTS if restarts is None else np.ascontiguousarray(restarts, dtype=np.float64),
         wheels=_stamps(run.wheels.t if run.wheels else NO_STAMPS),
         imu=_stamps(imu),
@@ -116,6 +116,12 @@ def _anchor_index(ranges: RangeLog, names: list[str]) -> npt.NDArray[np.int64]:
         )
     table = np.array([names.index(name) if name in names else -1 for name in ranges.names], dtype=np.int64)
     return table[ranges.beacon]
+
+
+def _with_slopes(t: Array, values: Array) -> Array:
+    """(C, 2) values and their slopes to the next, 0 after the last."""
+    slopes = np.append(np.diff(values) / np.diff(t), 0.0)
+    return np.column_stack((values, slopes))
 
 
 def _stamps(t: Array) -> Array:

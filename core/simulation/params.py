@@ -28,7 +28,7 @@ Array = npt.NDArray[np.float64]
 (MISSED_LEFT, MISSED_RIGHT) = range(41, 43)
 (FIX_DELAY, FIX_X, FIX_Y, FIX_ANGLE, FIX_SCALE, TAG_X, TAG_Y, TAG_Z) = range(43, 51)
 (SHADOW_X, SHADOW_Y, SHADOW_RADIUS, ANCHOR, ANCHOR_X, ANCHOR_Y, RANGE_BIAS) = range(51, 58)
-(CLOCK_OFFSET, CLOCK_SKEW) = range(58, 60)
+(CLOCK_OFFSET, CLOCK_RATE) = range(58, 60)
 (GYRO_NOISE, WALK, VIBRATION, FIX_NOISE, OUTLIER_RATE, OUTLIER_SIZE) = range(60, 66)
 SLOTS = 66
 """Length of the vector. The last row holds what only `_noise.py` reads."""
@@ -77,7 +77,6 @@ DIRECT: dict[int, tuple[str, str]] = {
     ANCHOR_Y: ("anchor_moved", "y"),
     RANGE_BIAS: ("range_bias", "bias"),
     CLOCK_OFFSET: ("imu_clock", "offset"),
-    CLOCK_SKEW: ("clock_drift", "skew"),
     GYRO_NOISE: ("gyro_noise", "factor"),
     WALK: ("gyro_walk", "density"),
     VIBRATION: ("vibration", "k"),
@@ -108,6 +107,7 @@ def pack(meta: RunMeta, effects: EffectSet, *, start: Pose | None = None) -> Arr
     scale, ratio = float(values["wheel_radius"]["scale"]), float(values["unequal_wheels"]["ratio"])
     par[SCALE_L], par[SCALE_R] = scale * 2.0 / (1.0 + ratio), scale * 2.0 * ratio / (1.0 + ratio)
     par[IB] = 1.0 / (float(values["track_width"]["scale"]) * track)
+    par[CLOCK_RATE] = 1.0 / (1.0 + float(values["clock_drift"]["skew"]))
     par[BUMP] = float(par[BUMP_DISTANCE] != 0.0 or par[BUMP_TURN] != 0.0)
     par[IMU_YAW] = robot.imu.yaw + float(values["imu_yaw"]["angle"])
     par[IMU_X] = robot.imu.x + float(values["imu_offset"]["x"])

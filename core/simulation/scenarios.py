@@ -115,8 +115,8 @@ def _blank_streams(rates: Rates, end: float, beacons: BeaconMap) -> Mapping[str,
 
 
 def _blank(rate: float, end: float, phase: float) -> tuple[Array, Array]:
-    t = (np.arange(int(end * rate - phase) + 1) + phase) / rate
-    return t, np.full(t.shape, np.nan)
+    t = (np.arange(int(end * rate - phase) + 1, dtype=np.float64) + phase) / rate
+    return t, np.full(len(t), np.nan)
 
 
 def drive(distance: float, v: float, *, curvature: float = 0.0) -> Leg:

@@ -12,8 +12,9 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
+from numba import get_num_threads
 
-from core.errors import MissingStreamError, ParameterError
+from core.errors import MissingStreamError
 from core.robot import EffectSet
 from core.run import Run
 from core.sensors import BeaconLog, ImuLog, RangeLog, TruthLog, WheelLog
@@ -87,7 +88,7 @@ def simulate_sets(inputs: Inputs, sets: Array, *, parallel: bool = True) -> tupl
     while len(sets) and (status < 0).any():
         if parallel and len(sets) > 1:
             with _BATCH_LOCK:
-                simulate_batch(sets, ends, inputs, capacity, out, status)
+                simulate_batch(sets, ends, inputs, capacity, out, status, min(get_num_threads(), len(sets)))
         else:
             simulate_every(sets, ends, inputs, capacity, out, status, 0, 1)
         capacity *= 2
@@ -100,8 +101,6 @@ def require(run: Run, par: Array) -> None:
         raise MissingStreamError(
             "gyro_temperature needs the imu's temperature column", method="simulate", missing=["imu.temperature"]
         )
-    if par[P.CLOCK_SKEW] <= -1.0:
-        raise ParameterError("clock_drift: skew must be above -1", parameter="clock_drift.skew")
 
 
 def warm() -> None:
@@ -116,7 +115,7 @@ def _end(inputs: Inputs, par: Array) -> float:
     """The last instant that any reading asks for [s]."""
     last = [float(t[-1]) for t in (inputs.wheels, inputs.beacon, inputs.ranges, inputs.truth) if len(t)]
     if len(inputs.grid):
-        last.append(float((inputs.grid[-1] - par[P.CLOCK_OFFSET]) / (1.0 + par[P.CLOCK_SKEW])))
+        last.append(float((inputs.grid[-1] - par[P.CLOCK_OFFSET]) * par[P.CLOCK_RATE]))
     return max([*last, 0.0])
 
 
