@@ -211,6 +211,17 @@ def _describe(curve: AllanCurve, data: _Data, best: _Model) -> NoiseFit:
     if not best.markov_tau:
         notes += ("a Gauss-Markov process is not identifiable from this record",)
     model = np.sqrt(_basis(curve.tau, best.markov_tau) @ best.p**2)
-    terms = [shown.get(name, Term()) for name in ORDER]
     dof = len(data.tau) - len(best.terms) - (best.markov_tau > 0)
-    return NoiseFit(*terms, markov_tau, model, best.chi2, dof, notes)
+    absent = Term()
+    return NoiseFit(
+        Q=shown.get("Q", absent),
+        N=shown.get("N", absent),
+        B=shown.get("B", absent),
+        K=shown.get("K", absent),
+        markov_sd=shown.get("s", absent),
+        markov_tau=markov_tau,
+        model=model,
+        chi2=best.chi2,
+        dof=dof,
+        notes=notes,
+    )
