@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from fastapi import APIRouter
 
-from app.pages import about, compare, jobs, runs
+from app.pages import about, compare, jobs, run, runs
 
 PAGES: dict[str, APIRouter] = {
     "runs": runs.router,
+    "run": run.router,
     "compare": compare.router,
     "jobs": jobs.router,
     "about": about.router,

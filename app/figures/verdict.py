@@ -1,0 +1,135 @@
+"""The sentence at the top of a run: what a colleague could repeat. The human edge: cm, degrees, °/h."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from app.figures.units import angle, bias, duration, length
+from app.store.results import PREFERENCE
+
+Metrics = Mapping[str, float | None]
+
+SETTLED = math.radians(1.0) / 3600  # rad/s: a bias that moves less than that has not moved
+NAMES = {"encoders+gyro": "encoders with gyro"}
+EVENT_NAMES = {"beacon_loss": "beacon loss", "kidnap": "kidnapping"}
+PLURALS = {"beacon loss": "beacon losses"}
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What one method's estimate contributes: its figures (SI), its events, the deviation it claims at the end [m]."""
+
+    method: str
+    metrics: Metrics
+    events: Sequence[Mapping[str, Any]] = ()
+    final_sd: float | None = None
+
+
+@dataclass(frozen=True)
+class Case:
+    """What the sentence goes by. `reasons`: why a method cannot run, None where it can; `job`: the newest estimate."""
+
+    duration_s: float
+    estimates: Sequence[Judged] = ()
+    reasons: Mapping[str, str | None] = field(default_factory=dict)
+    has_truth: bool = False
+    job: Mapping[str, Any] | None = None
+
+
+def verdict(case: Case) -> str:
+    """One to four short sentences."""
+    if not case.estimates:
+        return _without_estimates(case)
+    lead = lead_of(case.estimates)
+    parts = [_position(case, lead), _bias(case, lead), _events(lead)]
+    return " ".join(p for p in parts if p)
+
+
+def lead_of(estimates: Sequence[Judged]) -> Judged:
+    """The estimate that speaks for the run: the smallest error against truth, else by PREFERENCE."""
+    judged = [e for e in estimates if e.metrics.get("ate_rmse_m") is not None]
+    if judged:
+        return min(judged, key=lambda e: e.metrics["ate_rmse_m"] or 0.0)
+    return min(estimates, key=lambda e: PREFERENCE.index(e.method) if e.method in PREFERENCE else len(PREFERENCE))
+
+
+def _name(method: str) -> str:
+    return NAMES.get(method, method)
+
+
+def _without_estimates(case: Case) -> str:
+    job = case.job
+    if job and job["state"] in ("queued", "running"):
+        doing = "is being estimated" if job["state"] == "running" else "waits to be estimated"
+        return f"This run of {duration(case.duration_s)} {doing}; its paths appear here when they are done."
+    if job and job["state"] == "failed":
+        detail = (job.get("error") or {}).get("detail") or job.get("message") or "no reason was given"
+        return f"The estimate failed: {detail.rstrip('.')}."
+    if job and job["state"] == "cancelled":
+        return "The estimate was cancelled; this run has no path yet."
+    if case.reasons and all(case.reasons.values()):
+        return f"No method can give a path for these {duration(case.duration_s)}: see below what each would need."
+    return f"These {duration(case.duration_s)} have not been estimated yet."
+
+
+def _position(case: Case, lead: Judged) -> str:
+    name = _name(lead.method).capitalize()
+    final, ate = lead.metrics.get("final_m"), lead.metrics.get("ate_rmse_m")
+    if final is not None:
+        other = _baseline(case.estimates, lead, "final_m")
+        return f"{name} path ends {length(final)} from truth{other}."
+    if ate is not None:
+        other = _baseline(case.estimates, lead, "ate_rmse_m")
+        return f"{name} path is {length(ate)} from truth on average{other}."
+    heading = [e for e in case.estimates if e.metrics.get("heading_rmse_rad") is not None]
+    if heading:
+        best = min(heading, key=lambda e: e.metrics["heading_rmse_rad"] or 0.0)
+        error = angle(best.metrics["heading_rmse_rad"] or 0.0)
+        return f"Heading by {_name(best.method)} is {error} from truth on average; positions have no truth."
+    return _unjudged(case, lead, name)
+
+
+def _baseline(estimates: Sequence[Judged], lead: Judged, metric: str) -> str:
+    """The plainest other method, for comparison."""
+    order = ("encoders", "beacon", "encoders+gyro", "fused")
+    others = {e.method: e.metrics.get(metric) for e in estimates if e.method != lead.method}
+    method = next((m for m in order if others.get(m) is not None), None)
+    value = others.get(method) if method else None
+    return f" ({_name(method)} {length(value)})" if method and value is not None else ""
+
+
+def _unjudged(case: Case, lead: Judged, name: str) -> str:
+    why = "the truth does not overlap the path" if case.has_truth else "there is no truth to judge it by"
+    distance = lead.metrics.get("distance_m")
+    way = f" is {length(distance)} long" if distance is not None else ""
+    claim = f" and claims ± {length(lead.final_sd)} at its end" if way and lead.final_sd is not None else ""
+    return f"{name} path{way}{claim}; {why}." if way else f"{name} path is ready; {why}."
+
+
+def _bias(case: Case, lead: Judged) -> str:
+    drifts = [e.metrics.get("bias_drift_rad_s") for e in (lead, *case.estimates)]
+    drift = next((d for d in drifts if d is not None), None)
+    if drift is None:
+        return ""
+    if abs(drift) < SETTLED:
+        return f"Gyro bias stayed within {bias(SETTLED)} in {duration(case.duration_s)}."
+    return f"Gyro bias moved {bias(abs(drift))} in {duration(case.duration_s)}."
+
+
+def _events(lead: Judged) -> str:
+    kinds = Counter(str(e["kind"]) for e in lead.events)
+    if not kinds:
+        return ""
+    told = []
+    for kind, n in sorted(kinds.items()):
+        name = EVENT_NAMES.get(kind, kind.replace("_", " "))
+        text = f"{n} {name if n == 1 else PLURALS.get(name, name + 's')}"
+        if kind == "beacon_loss":
+            lasted = sum(float(e["t1"]) - float(e["t0"]) for e in lead.events if e["kind"] == kind)
+            text += f" of {duration(lasted)}"
+        told.append(text)
+    return ", ".join(told) + "."

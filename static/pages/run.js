@@ -1,0 +1,154 @@
+// The run page: one clock and one state; header, methods, map and 3D, strip and tabs hang on them.
+
+import { api, query, request } from "../lib/api.js";
+import { $, $$, h, pageData } from "../lib/dom.js";
+import { keys } from "../lib/keys.js";
+import { createTimeCursor } from "../lib/timecursor.js";
+import { mountBias } from "./run-bias.js";
+import { mountMultiples } from "./run-errors.js";
+import { mountFiles } from "./run-files.js";
+import { mountHeader } from "./run-header.js";
+import { mountJobs } from "./run-job.js";
+import { methodsOf, mountMethods } from "./run-methods.js";
+import { methodNotes, metricsTable } from "./run-metrics.js";
+import { mountNotes } from "./run-notes.js";
+import { calm, mountPaths } from "./run-path.js";
+import { mountSignals } from "./run-signals.js";
+import { createState } from "./run-state.js";
+import { eventColour, motionOf, mountStrip } from "./run-strip.js";
+
+const data = pageData();
+const { run } = data;
+const clock = createTimeCursor({ t0: run.t0, t1: run.t1 });
+const state = createState(methodsOf(data), clock);
+const context = {
+  data,
+  run,
+  clock,
+  state,
+  fileName: run.name.replace(/[^\w.+-]+/g, "_").slice(0, 60),
+  estimates: () => data.estimates,
+  lead: () => data.lead,
+};
+
+const TABS = { path: mountPath, signals: mountSignals, bias: mountBias, files: mountFiles, notes: mountNotes };
+const WITH_TIME = new Set(["path", "signals", "bias"]);
+let mounted = null; // the tab that is up
+let paths = null;
+let strip = null;
+
+function mountPath(host) {
+  if (!state.methods.some((m) => m.has)) {
+    const box = nothing();
+    host.append(box);
+    return { setEvents() {}, destroy: () => box.remove() };
+  }
+  const parts = [];
+  const multiples = mountMultiples(host, context);
+  if (data.estimates.length) {
+    parts.push(metricsTable({ estimates: data.estimates, methods: data.methods, fileName: context.fileName, runName: run.name }), methodNotes(data.estimates) ?? "");
+  } else {
+    parts.push(h("div", { class: "block" }, nothing()));
+  }
+  host.append(...parts);
+  return {
+    setEvents: multiples.setEvents,
+    destroy() {
+      multiples.destroy();
+      for (const part of parts) part.remove?.();
+    },
+  };
+}
+
+// No estimate: being made, not possible (and why, method by method), or not asked for yet.
+function nothing() {
+  const job = data.jobs.find((j) => j.kind === "estimate");
+  if (job?.state === "queued" || job?.state === "running") return calm("Being estimated", h("p", {}, "Paths, errors and metrics appear here when they are done. The signals can be looked at meanwhile."));
+  const reasons = data.methods.filter((m) => m.reason);
+  if (reasons.length && reasons.length === data.methods.length) {
+    return calm("No path can be estimated from this run", h("p", {}, "Each method says what it misses; the signals are all here."), h("ul", {}, reasons.map((m) => h("li", {}, h("b", {}, m.label), " ", m.reason))), h("p", {}, h("a", { href: "?tab=signals" }, "Look at the signals")));
+  }
+  return calm("Not estimated yet", h("p", {}, "“Estimate again” above starts every method that can run."));
+}
+
+function showTab() {
+  for (const tab of $$("[role=tab]")) {
+    const on = tab.dataset.tab === state.tab;
+    tab.setAttribute("aria-selected", String(on));
+    tab.tabIndex = on ? 0 : -1;
+    $(`#panel-${tab.dataset.tab}`).hidden = !on;
+  }
+  mounted?.destroy();
+  const paintable = state.methods.some((m) => m.has);
+  $("#split").hidden = !(state.tab === "path" && paintable);
+  $("#strip").hidden = !WITH_TIME.has(state.tab);
+  $("#methods").hidden = !(state.tab === "path" || state.tab === "bias") || !state.methods.length;
+  if (paintable && state.tab === "path") paths ??= mountPaths(context);
+  mounted = TABS[state.tab]($(`#panel-${state.tab}`), context);
+  tellEvents();
+}
+
+function tellEvents() {
+  const lead = data.estimates.find((e) => e.method === data.lead);
+  const events = (lead?.events ?? []).map((e) => ({ ...e, color: eventColour(e.kind) }));
+  mounted?.setEvents(events);
+  paths?.setEvents(data.lead, events);
+  strip.setMarks({ events });
+}
+
+// Where the wheels turn, out of a thinned curve: enough to see when it drove.
+async function showMotion() {
+  const stream = run.streams.find((s) => s.name === "wheels") ?? run.streams.find((s) => s.name === "truth" && s.columns.some((c) => c.name === "x"));
+  const gaps = run.streams.filter((s) => s.name === "beacon" || s.name === "ranges").flatMap((s) => s.gaps);
+  strip.setMarks({ gaps });
+  if (!stream) return;
+  const columns = stream.name === "wheels" ? "left,right" : "x,y";
+  const got = await api(`runs/${run.id}/streams/${stream.name}?${query({ columns, points: 3000 })}`);
+  strip.setMarks({ motion: motionOf(got.series, stream.name === "wheels" ? 0.05 : 0.01) });
+}
+
+// After an estimate: the page's data once more, and what hangs on it drawn again. The address stays.
+async function refresh() {
+  const fresh = await (await request(`/runs/${run.id}.json`)).json();
+  Object.assign(data, { estimates: fresh.estimates, methods: fresh.methods, jobs: fresh.jobs, lead: fresh.lead, sentence: fresh.sentence });
+  $("#verdict").textContent = data.sentence;
+  for (const m of methodsOf(data)) {
+    Object.assign(state.methods.find((old) => old.name === m.name) ?? {}, { estimate: m.estimate, reason: m.reason });
+    if (m.has) state.appear(m.name);
+  }
+  paths?.reload();
+  showTab();
+}
+
+function onTabKey(event) {
+  const tabs = $$("[role=tab]");
+  const at = tabs.findIndex((t) => t.dataset.tab === state.tab);
+  const to = { ArrowLeft: at - 1, ArrowRight: at + 1 }[event.key];
+  if (to === undefined) return;
+  const next = tabs[(to + tabs.length) % tabs.length];
+  state.set("tab", next.dataset.tab);
+  next.focus();
+}
+
+// `e`: the export menu of the plot or map below the pointer, else of the first one.
+function openExport() {
+  const under = $(".chart:hover, .map:hover") ?? document.activeElement?.closest?.(".chart, .map") ?? $(".chart, .map");
+  const menu = under?.querySelector(".chart-menu");
+  if (!menu) return;
+  menu.open = true;
+  menu.querySelector("button").focus();
+}
+
+for (const tab of $$("[role=tab]")) {
+  tab.addEventListener("click", () => state.set("tab", tab.dataset.tab));
+  tab.addEventListener("keydown", onTabKey);
+}
+mountHeader(context);
+mountMethods($("#methods"), state);
+strip = mountStrip($("#strip"), clock);
+keys("Run", { e: ["export the view below the pointer", openExport] });
+state.subscribe((what) => what === "tab" && showTab());
+showTab();
+showMotion().catch(() => {}); // the strip without its shading still says the time
+mountJobs({ ...context, refresh });
+document.documentElement.dataset.ready = "run";
