@@ -1,0 +1,105 @@
+"""Scenes by REST: who looks at what, a viewer's cursor over a small WebSocket, the scene as one HTML file."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Query, Request, Response, WebSocket
+from starlette.websockets import WebSocketDisconnect
+
+from app.errors import NotFoundError, problem_of
+from app.scene.build import export_html
+from app.scene.cursor import check_change
+from app.scene.proxy import GONE, NOT_FOUND, TRY_AGAIN, RunId, scenes
+from app.scene.servers import BusyError, Scene
+from core.errors import ParameterError
+
+router = APIRouter(prefix="/api/v1", tags=["scenes"])
+
+ViewerQuery = Annotated[str, Query(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+MAX_MESSAGE = 4096
+
+
+@router.get("/scenes/{run}", operation_id="getScene", summary="The 3D scene of a run: its viewers and their cursors")
+async def get_scene(run: RunId, request: Request) -> dict[str, Any]:
+    """Never opens a scene; `open` says whether anybody has."""
+    scene = scenes(request).get(run)
+    viewers = await asyncio.to_thread(scene.states) if scene else []
+    return {"run_id": run, "open": scene is not None, "page": f"/scene/{run}/", "viewers": viewers}
+
+
+@router.get(
+    "/runs/{run}/files/scene.html",
+    operation_id="getSceneFile",
+    summary="The 3D scene as one self-contained HTML file",
+    response_class=Response,
+)
+async def get_scene_file(
+    run: RunId, request: Request, theme: Annotated[Literal["light", "dark"], Query()] = "light"
+) -> Response:
+    """Opens anywhere, without this server; robots stand where their paths end."""
+    data = await asyncio.to_thread(scenes(request).data, run)
+    html = await asyncio.to_thread(export_html, data, theme)
+    headers = {
+        "Content-Disposition": f'attachment; filename="{run}-scene.html"',
+        "Content-Security-Policy": "sandbox; default-src 'none'",  # to be kept, not to be shown from here
+    }
+    return Response(html, media_type="text/html", headers=headers)
+
+
+@router.websocket("/scenes/{run}/cursor")
+async def cursor(ws: WebSocket, run: RunId, viewer: ViewerQuery) -> None:
+    """A page's time cursor, both ways (protocol: `app.scene`)."""
+    await ws.accept()
+    try:
+        scene = await asyncio.to_thread(scenes(ws).open, run)
+    except (NotFoundError, BusyError) as error:
+        with contextlib.suppress(*GONE):
+            await ws.send_json({"type": "problem", **problem_of(error)})
+            await ws.close(NOT_FOUND if isinstance(error, NotFoundError) else TRY_AGAIN)
+        return
+    loop, outbox = asyncio.get_running_loop(), asyncio.Queue[dict[str, Any]](maxsize=64)
+
+    def put(state: dict[str, Any]) -> None:
+        if outbox.full():  # a page that doesn't read gets the newest, not all
+            outbox.get_nowait()
+        outbox.put_nowait(state)
+
+    def hear(state: dict[str, Any]) -> None:
+        with contextlib.suppress(RuntimeError):  # the web server's loop has ended
+            loop.call_soon_threadsafe(put, state)
+
+    scene.listen(viewer, hear)
+    tasks = [asyncio.create_task(_receive(ws, scene, viewer, hear, put)), asyncio.create_task(_send(ws, outbox))]
+    try:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        scene.unlisten(viewer, hear)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+async def _send(ws: WebSocket, outbox: asyncio.Queue[dict[str, Any]]) -> None:
+    while True:
+        await ws.send_json(await outbox.get())
+
+
+async def _receive(ws: WebSocket, scene: Scene, viewer: str, hear: Any, put: Any) -> None:
+    """Changes from the page; a wrong one is answered with a problem and changes nothing."""
+    with contextlib.suppress(WebSocketDisconnect):
+        while True:
+            text = await ws.receive_text()
+            try:
+                if len(text) > MAX_MESSAGE:
+                    raise ParameterError("a cursor message is too long", expected=MAX_MESSAGE, found=len(text))
+                change = check_change(json.loads(text))
+            except json.JSONDecodeError as error:
+                put({"type": "problem", **problem_of(ParameterError(f"not JSON: {error.msg}"))})
+            except ParameterError as error:
+                put({"type": "problem", **problem_of(error)})
+            else:
+                scene.change(viewer, change, hear)

@@ -1,0 +1,227 @@
+"""A scene as a tree of named frames, from plain data. The same builder serves live viewers and the HTML export.
+
+/world                        a viewer's own frame: moved, it is the follow camera
+  ground/{light,dark}         grid sized to the data, its pitch as a label, the map's axes
+  beacons/{name}              mast, head and label at the surveyed height
+  fixes                       raw beacon fixes
+  methods/{method}            what a viewer switches on and off
+    {light,dark}              path (at most 20,000 segments) and two-sigma ellipses along it
+  robots/{method}             a viewer's own: body, wheels and heading axes at the viewer's time
+  now/{method}                a viewer's own: the two-sigma ellipse at the viewer's time
+
+Shared nodes carry the run and are replayed to whoever connects; a viewer shadows the frames `ground/*`, `methods/*`
+with frames of its own to choose theme and methods, so that only poses travel afterwards.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import viser
+
+from app.scene import shapes
+from app.scene.data import DEFAULT_TRACK_WIDTH, DEFAULT_WHEEL_RADIUS, SceneData, ScenePath
+from app.scene.style import BEACON, FIXES, THEME, THEMES, slug, stroke
+
+MAX_FIXES = 20_000
+MAX_BEACONS = 200
+ELLIPSES = 24  # per path
+SIGMAS = 2.0
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Sizes that the whole scene shares."""
+
+    extent: shapes.Extent
+    robot_scale: float  # robots are drawn larger than life where they would be lost in the hall
+
+    @property
+    def unit(self) -> float:
+        """The line unit: a hundredth of the scene [m]."""
+        return self.extent.size / 100
+
+    def level(self, layer: float) -> float:
+        """Height of a layer of lines, so that none flickers through another [m]."""
+        return self.extent.size * 4e-4 * (1 + layer)
+
+
+def layout(data: SceneData) -> Layout:
+    """The sizes for this run."""
+    clouds = [_sample(path) for path in data.paths] + [data.fixes[:: max(1, len(data.fixes) // MAX_FIXES)]]
+    clouds.append(np.array([p[:2] for p in data.beacons.values()], dtype=np.float64).reshape(-1, 2))
+    heights = [p[2] for p in data.beacons.values()]
+    extent = shapes.extent_of(clouds, max(heights, default=0.0))
+    length = 1.25 * (data.robot.track_width or DEFAULT_TRACK_WIDTH)
+    return Layout(extent, max(1.0, extent.size / 20 / length))
+
+
+def _sample(path: ScenePath) -> shapes.Floats:
+    step = max(1, len(path.t) // shapes.MAX_SEGMENTS)
+    return np.column_stack((path.x[::step], path.y[::step]))
+
+
+def add_run(server: viser.ViserServer, data: SceneData, theme: str | None = None) -> Layout:
+    """All that viewers share. `theme` shows one set of colours outright (export); None leaves it to each viewer."""
+    sizes, scene = layout(data), server.scene
+    scene.set_up_direction("+z")
+    _set_camera(server, sizes)
+    with server.atomic():
+        for name in THEMES:
+            scene.add_frame(f"/world/ground/{name}", show_axes=False, visible=name == theme)
+            add_ground(scene, f"/world/ground/{name}", sizes, name)
+        for name, position in list(data.beacons.items())[:MAX_BEACONS]:
+            add_beacon(scene, f"/world/beacons/{slug(name)}", name, position, sizes)
+        if len(data.fixes):
+            _add_fixes(scene, data, sizes)
+        for layer, path in enumerate(data.paths):
+            add_method(scene, f"/world/methods/{slug(path.method)}", path, sizes, layer, theme)
+    return sizes
+
+
+def _set_camera(server: viser.ViserServer, sizes: Layout) -> None:
+    position, look_at = shapes.camera(sizes.extent)
+    start = server.initial_camera
+    start.fov = shapes.CAMERA_FOV
+    start.near, start.far = sizes.extent.size / 2000, sizes.extent.size * 60
+    start.position, start.look_at = position, look_at
+
+
+def add_ground(scene: viser.SceneApi, name: str, sizes: Layout, theme: str) -> None:
+    """Grid, its pitch in words, and the map's axes at the origin where that is near."""
+    extent, colours, pitch = sizes.extent, THEME[theme], shapes.grid_pitch(sizes.extent.size)
+    x0, y0 = np.floor(extent.x0 / pitch - 0.5) * pitch, np.floor(extent.y0 / pitch - 0.5) * pitch
+    x1, y1 = np.ceil(extent.x1 / pitch + 0.5) * pitch, np.ceil(extent.y1 / pitch + 0.5) * pitch
+    lines = _grid_lines(x0, y0, x1, y1, pitch)
+    scene.add_line_segments(f"{name}/grid", lines, colours.cell, thickness=1.0, thickness_units="screen")
+    border = np.array([[[x0, y0], [x1, y0]], [[x1, y0], [x1, y1]], [[x1, y1], [x0, y1]], [[x0, y1], [x0, y0]]])
+    border = np.concatenate((border, np.zeros((4, 2, 1))), axis=2)
+    scene.add_line_segments(f"{name}/border", border, colours.section, thickness=1.5, thickness_units="screen")
+    scene.add_label(f"{name}/pitch", f"grid {pitch:g} m", position=(x1, y0, 0.0), anchor="bottom-right")
+    if x0 <= 0 <= x1 and y0 <= 0 <= y1:
+        scene.add_frame(f"{name}/map", axes_length=pitch * 0.8, axes_radius=sizes.unit * 0.16)
+
+
+def _grid_lines(x0: float, y0: float, x1: float, y1: float, pitch: float) -> shapes.Floats:
+    """(M, 2, 3) lines of a grid over a rectangle."""
+    xs, ys = np.arange(x0 + pitch, x1 - pitch / 2, pitch), np.arange(y0 + pitch, y1 - pitch / 2, pitch)
+    lines = np.zeros((len(xs) + len(ys), 2, 3), np.float32)
+    lines[: len(xs), :, 0], lines[: len(xs), 0, 1], lines[: len(xs), 1, 1] = xs[:, None], y0, y1
+    lines[len(xs) :, :, 1], lines[len(xs) :, 0, 0], lines[len(xs) :, 1, 0] = ys[:, None], x0, x1
+    return lines
+
+
+def add_beacon(
+    scene: viser.SceneApi, name: str, label: str, position: tuple[float, float, float], sizes: Layout
+) -> None:
+    """A mast from the floor to the beacon, its head, its name and height."""
+    x, y, z = map(float, position)
+    scene.add_frame(name, show_axes=False, position=(x, y, 0.0))
+    if abs(z) > sizes.unit:
+        mast = np.array([[[0, 0, 0], [0, 0, z]]], np.float32)
+        scene.add_line_segments(f"{name}/mast", mast, BEACON, thickness=1.5, thickness_units="screen")
+    scene.add_icosphere(f"{name}/head", radius=sizes.unit * 0.9, color=BEACON, position=(0, 0, z), cast_shadow=False)
+    text = f"{label}  {z:g} m" if z else label
+    scene.add_label(f"{name}/label", text, position=(0, 0, z + sizes.unit * 1.4), anchor="bottom-center")
+
+
+def _add_fixes(scene: viser.SceneApi, data: SceneData, sizes: Layout) -> None:
+    rows = data.fixes[np.isfinite(data.fixes).all(axis=1)]
+    rows = rows[:: max(1, -(-len(rows) // MAX_FIXES))]
+    points = np.column_stack((rows, np.full(len(rows), sizes.level(-0.5)))).astype(np.float32)
+    size = sizes.unit * (0.5 if len(points) < 2000 else 0.3)
+    scene.add_point_cloud(
+        "/world/fixes", points, FIXES.light, point_size=size, point_shape="circle", precision="float32",
+        point_shading="flat",
+    )  # fmt: skip
+
+
+def add_method(scene: viser.SceneApi, name: str, path: ScenePath, sizes: Layout, layer: int, theme: str | None) -> None:
+    """One method's path and ellipses, in the colours of both themes."""
+    line, z = stroke(path.method), sizes.level(layer)
+    rows = shapes.rows_to_draw(path.x, path.y)
+    segments = shapes.polyline(np.asarray(path.x[rows]), np.asarray(path.y[rows]), line.dash, z, sizes.unit)
+    for variant in THEMES:
+        scene.add_frame(f"{name}/{variant}", show_axes=False, visible=variant == theme)
+        if len(segments):
+            scene.add_line_segments(
+                f"{name}/{variant}/path", segments, line.colour(variant), thickness=line.width, thickness_units="screen"
+            )
+        if path.spread is not None:
+            _add_ellipses(scene, f"{name}/{variant}/spread", path, line.colour(variant), z)
+
+
+def _add_ellipses(scene: viser.SceneApi, name: str, path: ScenePath, colour: tuple[int, int, int], z: float) -> None:
+    rows = np.unique(np.linspace(0, len(path.t) - 1, ELLIPSES + 1).astype(np.intp))
+    assert path.spread is not None
+    covariance = path.spread.covariance(rows)
+    ok = np.isfinite(covariance).all(axis=(1, 2)) & np.isfinite(path.x[rows]) & np.isfinite(path.y[rows])
+    if not ok.any():
+        return
+    axes, angle = shapes.ellipses(covariance[ok], SIGMAS)
+    rows = rows[ok]
+    outlines = shapes.outlines(np.column_stack((path.x[rows], path.y[rows])), axes, angle, z)
+    scene.add_line_segments(f"{name}/rims", outlines, colour, thickness=1.0, thickness_units="screen")
+    vertices, faces = shapes.disc()
+    scene.add_batched_meshes_simple(
+        f"{name}/discs", vertices, faces, shapes.yaw(angle),
+        np.column_stack((path.x[rows], path.y[rows], np.full(len(rows), z))),
+        batched_scales=np.column_stack((axes, np.ones(len(rows)))),
+        batched_colors=colour, opacity=0.16, side="double", cast_shadow=False, receive_shadow=False, lod="off",
+    )  # fmt: skip
+
+
+def add_robot(
+    scene: viser.SceneApi, name: str, path: ScenePath, data: SceneData, sizes: Layout, theme: str, *, leads: bool
+) -> viser.FrameHandle:
+    """One method's robot at the viewer's time: body, wheels, heading axes; a plain puck where there is no heading."""
+    r = (data.robot.wheel_radius or DEFAULT_WHEEL_RADIUS) * sizes.robot_scale
+    b = (data.robot.track_width or DEFAULT_TRACK_WIDTH) * sizes.robot_scale
+    colour, ghost = stroke(path.method).colour(theme), None if leads else 0.45
+    if not leads:  # a little smaller, so that faces of robots in one place don't flicker
+        r, b = r * 0.96, b * 0.96
+    heading = bool(np.isfinite(path.theta[:1000]).any())
+    frame = scene.add_frame(
+        name, show_axes=heading and leads, axes_length=b * 1.15, axes_radius=b * 0.025, origin_radius=b * 0.05
+    )
+    if not heading:
+        scene.add_cylinder(f"{name}/body", radius=b * 0.4, height=r * 1.2, color=colour, opacity=ghost,
+                           position=(0, 0, r * 0.6), cast_shadow=False)  # fmt: skip
+        return frame
+    scene.add_box(f"{name}/body", dimensions=(b * 1.25, b * 0.8, b * 0.3), color=colour, opacity=ghost,
+                  position=(b * 0.2, 0, r + b * 0.05), cast_shadow=leads)  # fmt: skip
+    for side, y in (("left", b / 2), ("right", -b / 2)):
+        scene.add_cylinder(
+            f"{name}/{side}", radius=r, height=b * 0.14, color=THEME[theme].wheel, opacity=ghost,
+            position=(0, y, r), wxyz=(np.sqrt(0.5), np.sqrt(0.5), 0, 0), cast_shadow=False,
+        )  # fmt: skip
+    return frame
+
+
+def add_now(scene: viser.SceneApi, name: str, path: ScenePath, theme: str) -> viser.MeshHandle:
+    """The two-sigma ellipse at the viewer's time: a unit disc that poses and scales move."""
+    vertices, faces = shapes.disc()
+    return scene.add_mesh_simple(
+        name, vertices, faces, color=stroke(path.method).colour(theme), opacity=0.35, side="double",
+        cast_shadow=False, receive_shadow=False,
+    )  # fmt: skip
+
+
+def export_html(data: SceneData, theme: str) -> str:
+    """The scene as one self-contained page, robots at the end of their paths; blocking, a second or so."""
+    from app.scene.servers import LocalServer
+
+    server = LocalServer()
+    try:
+        sizes = add_run(server, data, theme)
+        for path in data.paths:
+            frame = add_robot(server.scene, f"/world/robots/{slug(path.method)}", path, data, sizes, theme, leads=True)
+            x, y, theta = path.pose_at(data.t1)
+            if np.isfinite((x, y)).all():
+                frame.position = (x, y, 0.0)
+            if np.isfinite(theta):
+                frame.wxyz = shapes.yaw(theta)
+        return server.get_scene_serializer().as_html(dark_mode=theme == "dark")
+    finally:
+        server.stop()

@@ -1,0 +1,119 @@
+"""What a scene shows, as plain typed data: no viser, no store. Metres, seconds and radians in the map frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from core.robot import BeaconMap, RobotParams
+from core.run import Run
+from core.trajectory import Trajectory
+
+Floats = npt.NDArray[np.floating]
+
+DEFAULT_WHEEL_RADIUS = 0.075  # m, where the run doesn't say
+DEFAULT_TRACK_WIDTH = 0.32  # m
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Position uncertainty along a path, each (N,): sd_x, sd_y [m], cov_xy [m^2] in the map."""
+
+    sd_x: Floats
+    sd_y: Floats
+    cov_xy: Floats | None = None
+
+    def covariance(self, i: npt.NDArray[np.intp] | int) -> Floats:
+        """(M, 2, 2) covariances of x, y at rows i."""
+        rows = np.atleast_1d(np.asarray(i))
+        xx, yy = np.square(self.sd_x[rows], dtype=np.float64), np.square(self.sd_y[rows], dtype=np.float64)
+        xy = np.zeros_like(xx) if self.cov_xy is None else np.asarray(self.cov_xy[rows], dtype=np.float64)
+        return np.stack((xx, xy, xy, yy), axis=-1).reshape(-1, 2, 2)
+
+
+@dataclass(frozen=True)
+class ScenePath:
+    """The path by one method (or "truth"): t, x, y, theta (N,), full length, possibly memory-mapped.
+
+    `theta` may be NaN where the method gives no heading; `spread` is None where it states no uncertainty.
+    """
+
+    method: str
+    label: str
+    t: Floats
+    x: Floats
+    y: Floats
+    theta: Floats
+    spread: Spread | None = None
+
+    def row(self, t: float) -> tuple[int, float]:
+        """The row at or before t and the fraction of the way to the next; held at both ends."""
+        i = int(np.searchsorted(self.t, t, side="right")) - 1
+        if i < 0:
+            return 0, 0.0
+        if i >= len(self.t) - 1:
+            return len(self.t) - 1, 0.0
+        step = float(self.t[i + 1] - self.t[i])
+        return i, (t - float(self.t[i])) / step if step > 0 else 0.0
+
+    def pose_at(self, t: float) -> tuple[float, float, float]:
+        """x, y, theta at t, linear between rows and held past the ends; two look-ups, whatever the length."""
+        i, fraction = self.row(t)
+        j = min(i + 1, len(self.t) - 1)
+        x, y, theta = (
+            float(c[i]) + fraction * (float(c[j]) - float(c[i])) if fraction else float(c[i])
+            for c in (self.x, self.y, self.theta)
+        )
+        return x, y, theta
+
+
+@dataclass(frozen=True)
+class SceneData:
+    """One run as the 3D view needs it. `revision` changes whenever what is shown would change."""
+
+    run_id: str
+    name: str
+    t0: float
+    t1: float
+    paths: tuple[ScenePath, ...] = ()
+    beacons: BeaconMap = field(default_factory=dict)
+    fixes: Floats = field(default_factory=lambda: np.zeros((0, 2)))  # (M, 2) raw beacon fixes x, y
+    robot: RobotParams = field(default_factory=RobotParams)
+    revision: str = ""
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """What can be switched on and off, in drawing order."""
+        return tuple(p.method for p in self.paths)
+
+
+def from_core(
+    run: Run, trajectories: Mapping[str, Trajectory], labels: Mapping[str, str] | None = None, run_id: str = "run"
+) -> SceneData:
+    """A scene straight from a run and the paths that methods gave."""
+    names = labels or {}
+    paths = [truth] if (truth := truth_path(run)) else []
+    for method, trajectory in trajectories.items():
+        sd, covariance = trajectory.sd, trajectory.covariance
+        spread = None if sd is None or covariance is None else Spread(sd[:, 0], sd[:, 1], covariance[:, 0, 1])
+        columns = (trajectory.t, trajectory.x, trajectory.y, trajectory.theta)
+        paths.append(ScenePath(method, names.get(method, method), *columns, spread))
+    fixes = np.column_stack((run.beacon.x, run.beacon.y)) if run.beacon is not None else np.zeros((0, 2))
+    t0, t1 = run.span
+    return SceneData(
+        run_id, run.meta.name or run_id, t0, t1, tuple(paths), dict(run.meta.beacons), fixes, run.meta.robot
+    )
+
+
+def truth_path(run: Run) -> ScenePath | None:
+    """The reference as a path, where it has positions."""
+    truth = run.truth
+    if truth is None or truth.x is None or truth.y is None or not len(truth):
+        return None
+    theta = truth.theta if truth.theta is not None else np.full(len(truth), np.nan)
+    if not np.isfinite(theta).all():
+        return ScenePath("truth", "truth", truth.t, truth.x, truth.y, theta)
+    return ScenePath("truth", "truth", truth.t, truth.x, truth.y, np.unwrap(theta))

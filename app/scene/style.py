@@ -1,0 +1,74 @@
+"""How the scene looks: the pages' colours per method and theme (static/css/tokens.css), dashes, line widths."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+Rgb = tuple[int, int, int]
+THEMES = ("light", "dark")
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """One method's line: colour per theme, dash pattern in line units (pen down, pen up, ...), width in pixels."""
+
+    light: Rgb
+    dark: Rgb
+    dash: tuple[float, ...] = ()
+    width: float = 2.5
+
+    def colour(self, theme: str) -> Rgb:
+        """The colour in a theme."""
+        return self.dark if theme == "dark" else self.light
+
+
+@dataclass(frozen=True)
+class Theme:
+    """Ground and ink of one theme."""
+
+    ink: Rgb
+    cell: Rgb
+    section: Rgb
+    wheel: Rgb
+
+
+def _same(rgb: Rgb, dash: tuple[float, ...] = (), width: float = 2.5) -> Stroke:
+    return Stroke(rgb, rgb, dash, width)
+
+
+STROKES: dict[str, Stroke] = {
+    "truth": Stroke((20, 24, 28), (233, 236, 239), width=3.0),
+    "encoders": _same((230, 159, 0), (5, 2)),
+    "beacon": _same((86, 180, 233), (1, 1.2)),
+    "encoders+gyro": _same((213, 94, 0), (4, 1.5, 1, 1.5)),
+    "published": _same((204, 121, 167), (2.5, 1.5)),
+    "fused": Stroke((0, 114, 178), (47, 147, 214), width=3.5),
+    "smoothed": _same((0, 158, 115), width=3.0),
+}
+OTHER = _same((128, 134, 140), (2, 1))
+FIXES = Stroke((120, 150, 172), (112, 140, 160))
+BEACON = (86, 180, 233)
+
+THEME: dict[str, Theme] = {
+    "light": Theme(ink=(20, 24, 28), cell=(226, 229, 232), section=(196, 202, 208), wheel=(45, 50, 56)),
+    "dark": Theme(ink=(233, 236, 239), cell=(54, 60, 66), section=(88, 97, 106), wheel=(150, 158, 166)),
+}
+
+# Whose robot the camera follows, and which one stands solid: the best claim first.
+PRECEDENCE = ("fused", "smoothed", "published", "encoders+gyro", "encoders", "beacon", "truth")
+
+
+def stroke(method: str) -> Stroke:
+    """The method's line; a quiet grey for methods without a colour of their own."""
+    return STROKES.get(method, OTHER)
+
+
+def primary(methods: tuple[str, ...] | list[str]) -> str | None:
+    """The method whose robot leads."""
+    ranked = sorted(methods, key=lambda m: PRECEDENCE.index(m) if m in PRECEDENCE else len(PRECEDENCE))
+    return ranked[0] if ranked else None
+
+
+def slug(method: str) -> str:
+    """The method as part of a node's name."""
+    return method.replace("/", "-").replace("+", "-")

@@ -1,0 +1,262 @@
+"""One viewer: a time cursor of its own, and in each browser that shows it the nodes that only this viewer sees.
+
+Everything here runs on the scene server's own event loop (`Scene.call` brings work there), so nothing is locked.
+While the cursor plays, a tick 30 times a second sends robot poses and nothing else; a resting viewer costs nothing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import viser
+
+from app.scene import build, shapes
+from app.scene.cursor import Cursor
+from app.scene.data import SceneData, ScenePath
+from app.scene.panel import Panel
+from app.scene.style import THEMES, primary, slug
+
+TICK = 1 / 30  # s
+Listener = Callable[[dict[str, Any]], None]
+
+
+class Client:
+    """The viewer's nodes in one connected browser."""
+
+    def __init__(self, handle: viser.ClientHandle, data: SceneData, sizes: build.Layout) -> None:
+        self.handle, self._data, self._sizes = handle, data, sizes
+        self._robots: dict[str, viser.FrameHandle] = {}
+        self._discs: dict[str, viser.MeshHandle] = {}
+        self._shown: dict[str, viser.FrameHandle] = {}
+        self._variants: dict[str, list[viser.FrameHandle]] = {name: [] for name in THEMES}
+        self._theme = ""
+        self._leader: str | None = None
+        self._anchor: tuple[float, float] | None = None  # where the followed robot was when following began
+        scene = handle.scene
+        self._world = scene.add_frame("/world", show_axes=False)
+        for variant in THEMES:
+            self._variants[variant].append(scene.add_frame(f"/world/ground/{variant}", show_axes=False, visible=False))
+        for path in data.paths:
+            name = f"/world/methods/{slug(path.method)}"
+            self._shown[path.method] = scene.add_frame(name, show_axes=False)
+            for variant in THEMES:
+                self._variants[variant].append(scene.add_frame(f"{name}/{variant}", show_axes=False, visible=False))
+
+    def dress(self, cursor: Cursor) -> None:
+        """Theme and methods as the cursor has them."""
+        shown = [p for p in self._data.paths if cursor.shows(p.method)]
+        leader = primary([p.method for p in shown])
+        if cursor.theme != self._theme:
+            for variant, frames in self._variants.items():
+                for frame in frames:
+                    frame.visible = variant == cursor.theme
+            self.handle.gui.configure_theme(
+                dark_mode=cursor.theme == "dark", show_logo=False, show_share_button=False, control_width="small"
+            )
+        for method, frame in self._shown.items():
+            frame.visible = cursor.shows(method)
+        if cursor.theme != self._theme or leader != self._leader:
+            self._build_robots(cursor.theme, leader)
+        for method, robot in self._robots.items():
+            robot.visible = cursor.shows(method)
+            if method in self._discs:
+                self._discs[method].visible = cursor.shows(method)
+        self._theme, self._leader = cursor.theme, leader
+
+    def _build_robots(self, theme: str, leader: str | None) -> None:
+        scene = self.handle.scene
+        for path in self._data.paths:
+            name = slug(path.method)
+            self._robots[path.method] = build.add_robot(
+                scene, f"/world/robots/{name}", path, self._data, self._sizes, theme, leads=path.method == leader
+            )
+            if path.spread is not None:
+                self._discs[path.method] = build.add_now(scene, f"/world/now/{name}", path, theme)
+
+    def move(self, t: float, cursor: Cursor) -> None:
+        """Robots to where they are at t, and the world under a following camera."""
+        for layer, path in enumerate(self._data.paths):
+            if not cursor.shows(path.method):
+                continue
+            x, y, theta = path.pose_at(t)
+            if not np.isfinite((x, y)).all():
+                continue  # it stays where it was last seen
+            robot = self._robots[path.method]
+            robot.position = (x, y, 0.0)
+            if np.isfinite(theta):
+                robot.wxyz = shapes.yaw(theta)
+            if path.spread is not None:
+                self._spread(path, t, x, y, layer)
+        self._follow(t, cursor)
+
+    def _spread(self, path: ScenePath, t: float, x: float, y: float, layer: int) -> None:
+        assert path.spread is not None
+        covariance = path.spread.covariance(path.row(t)[0])
+        if not np.isfinite(covariance).all():
+            return
+        axes, angle = shapes.ellipses(covariance, build.SIGMAS)
+        disc = self._discs[path.method]
+        disc.position = (x, y, self._sizes.level(layer + 0.5))
+        scale = (round(float(axes[0, 0]), 4), round(float(axes[0, 1]), 4), 1.0)
+        if max(abs(a - b) for a, b in zip(scale, np.broadcast_to(disc.scale, 3), strict=True)) > 0.01 * scale[0]:
+            disc.scale = scale
+        disc.wxyz = shapes.yaw(angle[0])
+
+    def _follow(self, t: float, cursor: Cursor) -> None:
+        """The world moves under the camera, so that the user's orbit and zoom stay his own."""
+        path = next((p for p in self._data.paths if p.method == self._leader), None)
+        if cursor.follow and path is not None:
+            x, y, _ = path.pose_at(t)
+            if not np.isfinite((x, y)).all():
+                return
+            if self._anchor is None:
+                self._anchor = (x, y)
+                self._look_at(x, y)
+            self._world.position = (self._anchor[0] - x, self._anchor[1] - y, 0.0)
+        elif self._anchor is not None:
+            shift = np.array(self._world.position)  # a copy: viser writes into its own
+            self._anchor = None
+            self._world.position = (0.0, 0.0, 0.0)
+            self.handle.camera.position = np.asarray(self.handle.camera.position) - shift
+
+    def _look_at(self, x: float, y: float) -> None:
+        """Bring the robot to the middle, nearer when the camera is far off."""
+        camera = self.handle.camera
+        away = np.asarray(camera.position) - np.asarray(camera.look_at)
+        reach = min(float(np.linalg.norm(away)), self._sizes.extent.size * 0.7)
+        target = np.array([x, y, 0.0])
+        camera.position = target + away / max(float(np.linalg.norm(away)), 1e-9) * reach
+        camera.look_at = target
+
+
+class Viewer:
+    """A cursor, the browsers that show it, and whoever listens to it (the page's sockets)."""
+
+    def __init__(
+        self,
+        key: str,
+        data: SceneData,
+        sizes: build.Layout,
+        loop: asyncio.AbstractEventLoop,
+        *,
+        panel: bool,
+        theme: str,
+    ) -> None:
+        self.key, self._data, self._sizes, self._loop, self._with_panel = key, data, sizes, loop, panel
+        self.cursor = Cursor(data.t0, time.monotonic(), theme=theme)
+        self._clients: dict[int, Client] = {}
+        self._panels: dict[int, Panel] = {}
+        self._listeners: list[Listener] = []
+        self._timer: asyncio.TimerHandle | None = None
+
+    @property
+    def idle(self) -> bool:
+        """Whether nobody looks and nobody listens."""
+        return not self._clients and not self._listeners
+
+    def attach(self, handle: viser.ClientHandle) -> None:
+        """A browser connected."""
+        with handle.atomic():
+            client = self._clients[handle.client_id] = Client(handle, self._data, self._sizes)
+            client.dress(self.cursor)
+            client.move(self.time(), self.cursor)
+        if self._with_panel:
+            self._panels[handle.client_id] = Panel(handle, self._data, self.cursor, self._by_panel)
+        self._tell("scene")
+
+    def detach(self, client_id: int) -> None:
+        """A browser went away."""
+        self._clients.pop(client_id, None)
+        self._panels.pop(client_id, None)
+        if self.idle:
+            self._rest()
+        self._tell("scene")
+
+    def listen(self, listener: Listener) -> None:
+        """Hear of the state now and of every change that somebody else makes."""
+        self._listeners.append(listener)
+        listener(self.state("scene"))
+
+    def unlisten(self, listener: Listener) -> None:
+        """Hear no more. A page that leaves takes its playing along."""
+        self._listeners = [other for other in self._listeners if other is not listener]
+        if not self._listeners and not self._with_panel:
+            self.change({"playing": False})
+
+    def change(self, change: dict[str, Any], source: Listener | None = None, by: str = "page") -> None:
+        """Move the cursor; `change` has been checked. Everybody but the `source` hears of it."""
+        before = self.cursor
+        self.cursor = before.moved(change, time.monotonic(), self._data.t0, self._data.t1)
+        if "playing" in change and self.cursor.playing and self.time() >= self._data.t1:
+            self.cursor = self.cursor.moved({"t": self._data.t0}, time.monotonic(), self._data.t0, self._data.t1)
+        for client in self._clients.values():
+            with client.handle.atomic():
+                if (before.theme, before.methods) != (self.cursor.theme, self.cursor.methods):
+                    client.dress(self.cursor)
+        self._tick()
+        self._tell(by, source)
+
+    def _by_panel(self, change: dict[str, Any]) -> None:
+        self.change(change, by="panel")
+
+    def time(self) -> float:
+        """The run's time at this moment [s]."""
+        return self.cursor.now(time.monotonic(), self._data.t0, self._data.t1)
+
+    def state(self, by: str = "") -> dict[str, Any]:
+        """Plain data for pages and tests; `by` is whose hand it was: page, panel or scene."""
+        t, methods = self.time(), [m for m in self._data.methods if self.cursor.shows(m)]
+        return {
+            "type": "state",
+            "by": by,
+            "viewer": self.key,
+            "clients": len(self._clients),
+            "t": t,
+            "playing": self.cursor.playing,
+            "speed": self.cursor.speed,
+            "follow": self.cursor.follow,
+            "methods": methods,
+            "theme": self.cursor.theme,
+            "leader": primary(methods),
+            "robot_scale": round(self._sizes.robot_scale, 2),
+            "poses": {p.method: _plain(p.pose_at(t)) for p in self._data.paths if self.cursor.shows(p.method)},
+        }
+
+    def _tell(self, by: str, source: Listener | None = None) -> None:
+        for panel in self._panels.values():
+            panel.show(self.cursor, self.time())
+        others = [listener for listener in self._listeners if listener is not source]
+        if others:
+            state = self.state(by)
+            for listener in others:
+                listener(state)
+
+    def _rest(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _tick(self) -> None:
+        self._rest()
+        t = self.time()
+        for client in self._clients.values():
+            with client.handle.atomic():
+                client.move(t, self.cursor)
+        if not self.cursor.playing:
+            return
+        if t >= self._data.t1:
+            self.cursor = self.cursor.moved({"playing": False}, time.monotonic(), self._data.t0, self._data.t1)
+            self._tell("scene")
+            return
+        for panel in self._panels.values():
+            panel.show(self.cursor, t)
+        if not self.idle:
+            self._timer = self._loop.call_later(TICK, self._tick)
+
+
+def _plain(pose: tuple[float, float, float]) -> list[float | None]:
+    return [round(v, 6) if np.isfinite(v) else None for v in pose]
