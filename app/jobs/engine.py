@@ -316,8 +316,7 @@ class JobEngine:
             saved = kind.save(session, self._settings, job, made)
             job.run_id = saved.run_id
             jobs.finish(job, "done", saved.message, result=saved.result)
-            following = [jobs.create(session, *following) for following in saved.follow]
-            told = [jobs.as_dict(j) for j in (*following, job)]
+            told = [jobs.as_dict(j) for j in (*saved.follow, job)]
         for each in told:
             self.events.publish(each)
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from app.db.tables import Estimate, Job
+from app.db.tables import Job
 from app.errors import NotFoundError
 from app.jobs import tasks
 from app.settings import Settings
@@ -18,12 +17,12 @@ from app.store import jobs, results, runs
 
 @dataclass(frozen=True)
 class Saved:
-    """What a finished job made (`result`, ids), in a sentence, and the jobs that follow from it (kind, run, params)."""
+    """What a finished job made (`result`, ids), in a sentence, and the jobs that it queued."""
 
     result: dict[str, Any]
     message: str
     run_id: str | None = None
-    follow: tuple[tuple[str, str | None, dict[str, Any]], ...] = ()
+    follow: Sequence[Job] = ()
 
 
 @dataclass(frozen=True)
@@ -46,12 +45,8 @@ def _ingest_arguments(session: Session, settings: Settings, job: Job) -> dict[st
 
 def _ingest_save(session: Session, settings: Settings, job: Job, manifest: dict[str, Any]) -> Saved:
     run = runs.add_run(session, manifest, is_example=bool(job.params.get("is_example")))
-    estimated = session.scalars(select(Estimate.id).filter_by(run_id=run.id).limit(1)).first()
-    waiting = jobs.list_jobs(session, states=["active"], run_id=run.id, limit=1)
-    saved = Saved({"run_id": run.id}, f"stored as {run.name}", run.id)
-    if estimated or waiting:
-        return saved
-    return replace(saved, follow=(("estimate", run.id, {"methods": None, "config": {}}),))
+    following = jobs.first_estimates(session, run.id)
+    return Saved({"run_id": run.id}, f"stored as {run.name}", run.id, following)
 
 
 def _estimate_arguments(session: Session, settings: Settings, job: Job) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Any
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from app.db.tables import Job, now
+from app.db.tables import Estimate, Job, now
 from app.errors import ConflictError, NotFoundError
 from core.errors import ParameterError
 
@@ -37,6 +37,14 @@ def create(session: Session, kind: str, run_id: str | None, params: Mapping[str,
     session.add(job)
     session.flush()
     return job
+
+
+def first_estimates(session: Session, run_id: str) -> list[Job]:
+    """A queued job that estimates a newly stored run by every method; none if it has estimates, or waits for them."""
+    estimated = session.scalars(select(Estimate.id).filter_by(run_id=run_id).limit(1)).first()
+    if estimated or list_jobs(session, states=["active"], run_id=run_id, limit=1):
+        return []
+    return [create(session, "estimate", run_id, {"methods": None, "config": {}})]
 
 
 def get_job(session: Session, job_id: str, *, lock: bool = False) -> Job:
