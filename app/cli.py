@@ -72,9 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
     except DriftscopeError as error:
-        return _complain(
-            error.message, FAILED if _is_failure(error) or isinstance(error, CancelledError) else BAD_INPUT
-        )
+        return _complain(error.message, _status(error))
     except OSError as error:
         return _complain(_of_system(error), FAILED)
     except Exception as error:  # a fault of ours: still one line, the whole story on demand

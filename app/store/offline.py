@@ -27,9 +27,7 @@ class Store:
         self._engine = make_engine(settings.url)
         migrate(self._engine)
 
-    def add(
-        self, path: Path, progress: Callable[[float, str], None] = lambda fraction, message: None
-    ) -> dict[str, Any]:
+    def add(self, path: Path, progress: Progress = lambda fraction, message: None) -> dict[str, Any]:
         """Store a file's run: {"id", "name", "new"}; a server, running now or started later, will estimate it."""
         options = IngestOptions(file_name=path.name, max_unpacked_bytes=self._settings.max_unpacked_bytes)
         manifest = ingest_file(self._settings.data, path, options, progress)
