@@ -23,7 +23,7 @@ class Assumptions:
     """One sigma each unless said otherwise; SI and radians."""
 
     gyro_density: float = 3.5e-4  # rad/s/sqrt(Hz), one-sided: 0.02 deg/s/sqrt(Hz), a plain MEMS gyro
-    bias_sd: float = 0.02  # rad/s, gyro bias at switching on
+    bias_sd: float = 0.01  # rad/s, gyro bias at switching on
     bias_walk: float = 1e-5  # rad/s/sqrt(s), its random walk
     gyro_scale_sd: float = 0.005  # relative
     quantum: float = 0.01  # rad, one encoder step where ticks_per_rev is unknown
@@ -31,13 +31,18 @@ class Assumptions:
     distance_scale_sd: float = 0.01  # relative, of the mean wheel radius
     inequality_sd: float = 0.003  # relative, right radius against left
     track_scale_sd: float = 0.03  # relative, of the effective track width
+    side_slip: float = 0.002  # m/sqrt(m): sideways motion, sd after one metre
     accel: float = 1.0  # m/s/sqrt(s), how fast the forward speed wanders
     turn_accel: float = 2.0  # rad/s/sqrt(s), how fast the turn rate wanders, where there is no gyro
+    memory: float = 2.0  # s, how soon speed and turn rate are forgotten while the wheels are silent
     pause_rate: float = 0.3  # rad/sqrt(s), turning while the gyro pauses
     top_speed: float = 10.0  # m/s, hard bound: a wheel reading beyond it is a jump of the counter
     fix_xy: float = 0.05  # m
     fix_theta: float = 0.05  # rad
-    range: float = 0.15  # m
+    range: float = 0.2  # m
+    range_scale_sd: float = 0.03  # relative, speed of sound or clock
+    range_bias_sd: float = 0.2  # m, of all ranges alike
+    parameter_walk: float = 2e-5  # 1/sqrt(s), how fast scales wander
     start_xy: float = 0.01  # m, of a start pose given in run.json
     start_theta: float = 0.01  # rad
     gate: float = 0.999  # probability that a sound reading passes its chi-square gate

@@ -142,7 +142,7 @@ def multilaterate(rounds: Rounds, tag_z: float, range_sd: float) -> tuple[Array,
     anchors, height = rounds.anchors[..., :2], rounds.anchors[..., 2] - tag_z
     seed = np.sum(anchors * w[..., None], axis=1) / np.maximum(w.sum(axis=1), 1)[:, None]
     xy = _linear_start(rounds, w, height, seed)
-    normal: Array = np.tile(np.eye(2), (len(xy), 1, 1))
+    normal = np.tile(np.eye(2), (len(xy), 1, 1))
     for _ in range(STEPS):
         H, distance = _lines_of_sight(xy, anchors, height)
         normal = np.einsum("mk,mki,mkj->mij", w, H, H) + 1e-9 * np.eye(2)
@@ -151,8 +151,7 @@ def multilaterate(rounds: Rounds, tag_z: float, range_sd: float) -> tuple[Array,
         xy = xy + step * np.minimum(1.0, 20.0 / np.maximum(np.linalg.norm(step, axis=1), 1e-9))[:, None]
     _, distance = _lines_of_sight(xy, anchors, height)
     residual = np.sqrt(np.sum(w * (rounds.ranges - distance) ** 2, axis=1) / np.maximum(w.sum(axis=1), 1))
-    covariance: Array = np.linalg.inv(normal) * range_sd**2
-    return xy, covariance, np.asarray(residual, np.float64)
+    return xy, np.asarray(np.linalg.inv(normal) * range_sd**2, np.float64), np.asarray(residual, np.float64)
 
 
 def _lines_of_sight(xy: Array, anchors: Array, height: Array) -> tuple[Array, Array]:

@@ -14,6 +14,7 @@ from core.errors import MissingStreamError, ParameterError
 from core.estimation import needs
 from core.estimation.assumptions import Config
 from core.estimation.beacon import beacon
+from core.estimation.fusion.fused import fused
 from core.estimation.odometry import encoders, encoders_gyro
 from core.estimation.result import Estimate
 from core.run import Run
@@ -65,6 +66,16 @@ METHODS: dict[str, Method] = {
             summary="Distance by the wheels, heading by the gyro, its bias learnt wherever the robot rests.",
             missing=needs.for_encoders_gyro,
             run=encoders_gyro,
+        ),
+        Method(
+            name="fused",
+            label="Fused",
+            needs="wheels, wheel radius, and imu or track width; fixes and ranges where there are any",
+            causal=True,
+            source="Bar-Shalom, Li, Kirubarajan 2001; Solà 2017",
+            summary="Error-state Kalman filter of all sensors, with gyro bias and scales.",
+            missing=needs.for_fused,
+            run=fused,
         ),
     )
 }

@@ -1,0 +1,36 @@
+"""Readings that are missing (NaN) or beyond what a sensor can read, dealt with once, by whole columns."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from core.errors import NotEnoughDataError
+from core.sensors import ImuLog
+
+Array = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+
+FASTEST_TURN = 100.0  # rad/s: beyond it a gyro reading is a fault
+
+
+def finite_rows(rows: Array) -> Flags:
+    """(N,) rows without NaN or infinity."""
+    return np.asarray(np.isfinite(rows).all(axis=1), np.bool_)
+
+
+def gyro_readings(imu: ImuLog) -> tuple[Array, Array]:
+    """Stamps and gz (N,) float64, missing readings filled linearly from their neighbours."""
+    gz = np.asarray(imu.gz, np.float64)
+    return imu.t, filled(imu.t, np.where(np.abs(gz) <= FASTEST_TURN, gz, np.nan), "imu.gz")
+
+
+def filled(t: Array, column: npt.NDArray[np.floating], name: str) -> Array:
+    """The column with every gap bridged linearly, held at the ends."""
+    values = np.asarray(column, np.float64)
+    good = np.isfinite(values)
+    if good.all():
+        return values
+    if not good.any():
+        raise NotEnoughDataError(f"{name} has no finite value", column=name, expected=1, found=0)
+    return np.interp(t, t[good], values[good])
