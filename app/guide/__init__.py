@@ -14,7 +14,7 @@ from typing import Any
 
 from markdown_it import MarkdownIt
 
-from core.errors import DriftscopeError
+from app.errors import NotFoundError
 
 HERE = Path(__file__).parent
 
@@ -32,12 +32,6 @@ PAGES: dict[str, str] = {
     "code": "Two walks through the code",
     "extend": "How to add things",
 }
-
-
-class NoSuchPageError(DriftscopeError):
-    """The guide has no page of that name."""
-
-    code = "not_found"
 
 
 @dataclass(frozen=True)
@@ -67,7 +61,7 @@ def slug(text: str) -> str:
 def source(name: str) -> str:
     """The Markdown text of a page."""
     if name not in PAGES:
-        raise NoSuchPageError(f"the guide has no page {name!r}; it has {', '.join(PAGES)}", page=name)
+        raise NotFoundError(f"the guide has no page {name!r}; it has {', '.join(PAGES)}", page=name)
     return (HERE / f"{name}.md").read_text(encoding="utf-8")
 
 

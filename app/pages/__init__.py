@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from fastapi import APIRouter
 
-from app.pages import about, compare, jobs, run, runs
+from app.pages import about, compare, guide, jobs, run, runs
 
 PAGES: dict[str, APIRouter] = {
     "runs": runs.router,
     "run": run.router,
     "compare": compare.router,
     "jobs": jobs.router,
+    "guide": guide.router,
     "about": about.router,
 }
 """Every page's router by its stem; `app.main` includes them all."""
