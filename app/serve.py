@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import os
 import signal
 import socket
 import sys
@@ -79,8 +80,10 @@ def serve(settings: Settings) -> int:
     with listen(settings) as sock:
         settings.data.mkdir(parents=True, exist_ok=True)
         server = Server(settings, greet=True)
-        with contextlib.suppress(KeyboardInterrupt):  # raised again by uvicorn once it has stopped
+        with contextlib.suppress(KeyboardInterrupt, SystemExit):  # raised by uvicorn once it has stopped
             server.run(sockets=[sock])
+    if not getattr(server.app.state, "jobs_stopped", True):
+        os._exit(0)  # a cluster that was still starting is not waited for; its processes end with this one
     return 0 if server.started else 1
 
 

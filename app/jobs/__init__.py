@@ -19,4 +19,4 @@ async def service(app: FastAPI) -> AsyncIterator[None]:
     try:
         yield
     finally:
-        await asyncio.to_thread(app.state.jobs.stop)
+        app.state.jobs_stopped = await asyncio.to_thread(app.state.jobs.stop)

@@ -37,6 +37,7 @@ RECONNECT_S = 5.0
 WRITE_PROGRESS_S = 1.0  # progress is told at once and written this often
 CANCEL_GRACE_S = 5.0  # then the worker of a job that doesn't listen is restarted
 DEATHS = 3
+STOP_S = 1.5
 
 
 @dataclass
@@ -81,13 +82,14 @@ class JobEngine:
         """Start the cluster and compile ahead of the first job."""
         self._inbox.put(self._prepare)
 
-    def stop(self) -> None:
-        """End streams, leave running jobs for the next start, close the cluster."""
+    def stop(self) -> bool:
+        """End streams, leave running jobs for the next start, close the cluster; False if that takes over STOP_S."""
         self.events.close()
         self._stopping.set()
         self._inbox.put(lambda: None)
         if self._thread.is_alive():
-            self._thread.join()
+            self._thread.join(STOP_S)
+        return not self._thread.is_alive()
 
     def submit(self, kind: str, run_id: str | None, params: Mapping[str, Any]) -> str:
         """Queue a job; its id."""
@@ -186,7 +188,8 @@ class JobEngine:
         try:
             step()
         except Exception:  # a full disk or a lost scheduler must not end the thread that moves every job on
-            log.exception("a step of the job engine failed")
+            if not self._stopping.is_set():
+                log.exception("a step of the job engine failed")
             self._stopping.wait(0.5)
 
     def _have_a_look(self) -> None:
