@@ -15,6 +15,7 @@ Metrics = Mapping[str, float | None]
 
 SETTLED = math.radians(1.0) / 3600  # rad/s: a bias that moves less than that has not moved
 NAMES = {"encoders+gyro": "encoders with gyro"}
+PATHS = {"encoders": "Encoder path", "encoders+gyro": "Path by encoders with gyro"}
 EVENT_NAMES = {"beacon_loss": "beacon loss", "kidnap": "kidnapping"}
 PLURALS = {"beacon loss": "beacon losses"}
 
@@ -77,14 +78,14 @@ def _without_estimates(case: Case) -> str:
 
 
 def _position(case: Case, lead: Judged) -> str:
-    name = _name(lead.method).capitalize()
+    name = PATHS.get(lead.method, f"{lead.method.capitalize()} path")
     final, ate = lead.metrics.get("final_m"), lead.metrics.get("ate_rmse_m")
     if final is not None:
         other = _baseline(case.estimates, lead, "final_m")
-        return f"{name} path ends {length(final)} from truth{other}."
+        return f"{name} ends {length(final)} from truth{other}."
     if ate is not None:
         other = _baseline(case.estimates, lead, "ate_rmse_m")
-        return f"{name} path is {length(ate)} from truth on average{other}."
+        return f"{name} is {length(ate)} from truth on average{other}."
     heading = [e for e in case.estimates if e.metrics.get("heading_rmse_rad") is not None]
     if heading:
         best = min(heading, key=lambda e: e.metrics["heading_rmse_rad"] or 0.0)
@@ -107,7 +108,7 @@ def _unjudged(case: Case, lead: Judged, name: str) -> str:
     distance = lead.metrics.get("distance_m")
     way = f" is {length(distance)} long" if distance is not None else ""
     claim = f" and claims ± {length(lead.final_sd)} at its end" if way and lead.final_sd is not None else ""
-    return f"{name} path{way}{claim}; {why}." if way else f"{name} path is ready; {why}."
+    return f"{name}{way}{claim}; {why}." if way else f"{name} is ready; {why}."
 
 
 def _bias(case: Case, lead: Judged) -> str:
@@ -130,6 +131,6 @@ def _events(lead: Judged) -> str:
         text = f"{n} {name if n == 1 else PLURALS.get(name, name + 's')}"
         if kind == "beacon_loss":
             lasted = sum(float(e["t1"]) - float(e["t0"]) for e in lead.events if e["kind"] == kind)
-            text += f" of {duration(lasted)}"
+            text += f" of {duration(lasted)}" if n == 1 else f", {duration(lasted)} in all"
         told.append(text)
     return ", ".join(told) + "."

@@ -14,7 +14,8 @@ export function decimals(step) {
 export function tick(value, step) {
   if (Math.abs(value) < step * 1e-6) return "0";
   if (Math.abs(value) >= 1e6 || step < 1e-6) return value.toExponential(1).replace("-", "−").replace("e+", "e");
-  return value.toFixed(decimals(step)).replace("-", "−");
+  const digits = decimals(step);
+  return value.toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits }).replace("-", "−");
 }
 
 // 4 significant digits: what a legend shows.
@@ -54,7 +55,7 @@ export function axes({ clock, log, ink, grid, font, showTime, valueWidth }) {
   if (!showTime) Object.assign(x, { ticks: { show: false }, values: (u, splits) => splits.map(() => "") });
   else if (clock) x.values = (u, splits, i, space, step) => splits.map((t) => timeText(t, step, timeSpan));
   if (clock) x.incrs = TIMES;
-  const y = { ...base, size: valueWidth, space: 30 };
+  const y = { ...base, size: valueWidth, space: 18 };
   const plain = (u, splits, i, space, step) => splits.map((v) => (v === null ? "" : tick(v, step)));
   const powers = (u, splits) => splits.map((v) => (v === null ? "" : number(v)));
   y.values = log.y ? powers : plain;

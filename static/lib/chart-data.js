@@ -45,9 +45,11 @@ export function lowerBound(t, value) {
   return lo;
 }
 
-// Value of the reading nearest to time, null outside the readings.
+// Value of the reading nearest to time, null more than a step outside the readings.
 export function valueAt({ t, y }, time) {
-  if (!t.length || time < t[0] || time > t[t.length - 1]) return null;
+  if (!t.length) return null;
+  const step = t.length > 1 ? (t[t.length - 1] - t[0]) / (t.length - 1) : 0;
+  if (time < t[0] - step || time > t[t.length - 1] + step) return null;
   const i = lowerBound(t, time);
   const j = i > 0 && (i === t.length || time - t[i - 1] < t[i] - time) ? i - 1 : i;
   return y[j] ?? null;
@@ -65,6 +67,16 @@ export function extent({ t, y }, [lo, hi]) {
     if (v > max) max = v;
   }
   return min <= max ? [min, max] : null;
+}
+
+// The middle 96 % of the values in the range, half as wide again: where a curve lives once it has settled.
+export function settledExtent(readings, [lo, hi]) {
+  const values = readings.flatMap(({ t, y }) => y.slice(lowerBound(t, lo), lowerBound(t, hi)).filter((v) => v !== null && v !== undefined));
+  if (values.length < 20) return null;
+  values.sort((a, b) => a - b);
+  const [a, b] = [0.02, 0.98].map((share) => values[Math.round(share * (values.length - 1))]);
+  const room = 0.25 * (b - a) || Math.abs(b) * 0.1;
+  return [a - room, b + room];
 }
 
 // Two sigma of a band, but never so wide that the lines inside turn flat.

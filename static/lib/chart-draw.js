@@ -3,6 +3,8 @@
 import { lowerBound } from "./chart-data.js";
 import { colour, withAlpha } from "./palette.js";
 
+const CROWD = 40;
+
 export function drawUnder(u, { gaps, events, bands, range }) {
   const { ctx, bbox } = u;
   ctx.save();
@@ -10,7 +12,8 @@ export function drawUnder(u, { gaps, events, bands, range }) {
   ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
   ctx.clip();
   for (const [a, b] of gaps) if (b >= range[0] && a <= range[1]) hatch(u, a, b, colour("--amber"));
-  for (const event of events) if (event.t1 >= range[0] && event.t0 <= range[1]) eventBand(u, event);
+  const seen = events.filter((e) => e.t1 >= range[0] && e.t0 <= range[1]);
+  for (const event of seen) eventBand(u, event, seen.length > CROWD);
   for (const band of bands) for (const sigmas of [2, 1]) sigmaBand(u, band, sigmas, range);
   ctx.restore();
 }
@@ -71,13 +74,14 @@ function hatch(u, a, b, ink) {
   ctx.restore();
 }
 
-function eventBand(u, event) {
+// Among many events a band each would hide the plot: marks along its top then.
+function eventBand(u, event, crowded) {
   const { ctx, bbox } = u;
   const ink = colour(event.color ?? "--amber");
   const x0 = u.valToPos(event.t0, "x", true);
   const x1 = Math.max(u.valToPos(event.t1, "x", true), x0 + 2 * devicePixelRatio);
   ctx.fillStyle = withAlpha(ink, 0.14);
-  ctx.fillRect(x0, bbox.top, x1 - x0, bbox.height);
+  if (!crowded) ctx.fillRect(x0, bbox.top, x1 - x0, bbox.height);
   ctx.fillStyle = ink;
   ctx.fillRect(x0, bbox.top, x1 - x0, 3 * devicePixelRatio);
 }

@@ -33,17 +33,17 @@ export function buildFrame(host, spec, { tool }) {
   if (spec.term) title.dataset.term = spec.term;
   sampling.dataset.term = "sampling";
   const menu = exportMenu(spec.title, TOOLS, tool);
-  const head = h("figcaption", { class: "chart-head" }, title, unit, sampling, menu);
+  const legendRow = h("div", { class: "chart-legend" });
+  const head = h("figcaption", { class: "chart-head" }, title, unit, spec.compact && legendRow, sampling, menu);
   if (spec.onEnlarge) {
     const enlarge = h("button", { type: "button", class: "chart-enlarge", "aria-label": `Enlarge ${spec.title}`, "data-hint": "Enlarge; again: back" }, glyph("M11 3h6v6M17 3l-6 6M9 17H3v-6M3 17l6-6"));
     enlarge.addEventListener("click", () => tool("enlarge"));
     head.append(enlarge);
   }
-  const legendRow = h("div", { class: "chart-legend" });
   const plot = h("div", { class: "chart-plot", tabindex: "0", role: "img", "aria-label": spec.title });
   const message = h("div", { class: "chart-message", role: "status", hidden: true });
   const table = h("div", { class: "chart-table", hidden: true });
-  const root = h("figure", { class: "chart", "data-chart": spec.id }, head, legendRow, plot, message, table);
+  const root = h("figure", { class: spec.compact ? "chart compact" : "chart", "data-chart": spec.id }, head, spec.compact ? "" : legendRow, plot, message, table);
   host.append(root);
   return {
     root,

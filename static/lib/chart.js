@@ -8,7 +8,7 @@
 //     load: async ({ t0, t1, points, signal }) => ({ series: { fused: { t, y, total, shown } },
 //                                                    bands: { fused: { t, mid, sd } }, gaps: [[t0, t1]] }),
 //     bandFor: (keys) => key,                   // absent: the bands of all visible series
-//     log: { x: false, y: false }, domain: [x0, x1], xLabel: "τ", xUnit: "s", showTime: true, zero: false,
+//     log: { x: false, y: false }, settle: false (scale to where the curve settles), domain: [x0, x1], xLabel: "τ", xUnit: "s", showTime: true, zero: false,
 //     onToggle: (key, on) => {}, onEnlarge: () => {}, fileName: "run-error",
 //   });
 //   chart.setVisible(key, on); chart.setEvents([{ t0, t1, kind, color }]); chart.refresh(); chart.destroy();
@@ -18,7 +18,7 @@
 
 import uPlot from "../vendor/uPlot.esm.js";
 import { axes, count, number, tick, timeText, timeUnit } from "./chart-axes.js";
-import { bandExtent, breakAtGaps, extent, merge, valueAt } from "./chart-data.js";
+import { bandExtent, breakAtGaps, extent, merge, settledExtent, valueAt } from "./chart-data.js";
 import { drawUnder } from "./chart-draw.js";
 import { buildFrame, legendItem, summaryTable } from "./chart-frame.js";
 import { exportCsv, exportPng, exportSvg, copyLink } from "./chart-export.js";
@@ -45,6 +45,7 @@ export function createChart(host, spec) {
   let timer = 0;
   let pending = 0; // the animation frame asked for
   let rangeMoved = false;
+  let offScale = false; // a settled view leaves extremes out, and says so
 
   const chart = {
     spec,
@@ -113,7 +114,7 @@ export function createChart(host, spec) {
     const mine = (request = new AbortController());
     const whole = clock.isFullRange;
     const [t0, t1] = clock.range;
-    const points = Math.min(Math.max(Math.round(frame.plot.clientWidth * 2), 300), 4000);
+    const points = Math.min(Math.max(Math.round(frame.plot.clientWidth * 2), 1000), 4000);
     frame.root.dataset.state = "loading";
     try {
       const answer = await spec.load({ t0, t1, points, whole, signal: mine.signal, visible: (key) => visible.get(key) });
@@ -169,7 +170,7 @@ export function createChart(host, spec) {
     }
     frame.root.dataset.points = String(chart.visibleSeries.reduce((n, s) => n + current.readings.get(s.key).shown, 0));
     drawCursors();
-    describe();
+    Promise.resolve().then(describe); // after uPlot has settled its scales, which it does in a microtask
   }
 
   function options() {
@@ -213,8 +214,12 @@ export function createChart(host, spec) {
       if (e) all = all ? [Math.min(all[0], e[0]), Math.max(all[1], e[1])] : e;
     };
     for (const s of chart.visibleSeries) widen(extent(current.readings.get(s.key), clock.range));
+    const settled = spec.settle ? settledExtent(chart.visibleSeries.map((s) => current.readings.get(s.key)), clock.range) : null;
+    offScale = Boolean(settled && all && (all[0] < settled[0] || all[1] > settled[1]));
+    if (offScale) all = [Math.max(all[0], settled[0]), Math.min(all[1], settled[1])];
     const lines = all;
     for (const band of chart.bands) widen(bandExtent(band, clock.range, lines));
+    if (all && spec.zero && (!lines || lines[0] >= 0)) all = [Math.max(all[0], 0), all[1]];
     if (!all) return log.y ? [0.1, 10] : [-1, 1];
     if (log.y) return [all[0] / 1.3, all[1] * 1.3];
     if (spec.zero) widen([0, 0]);
@@ -262,6 +267,7 @@ export function createChart(host, spec) {
       shown += current.readings.get(s.key).shown;
     }
     frame.sampling.textContent = total ? (shown < total ? `${count(shown)} of ${count(total)} points` : `all ${count(total)} points`) : "no readings here";
+    if (offScale) frame.sampling.textContent += " · extremes off scale";
     const [a, b] = clock.range;
     const names = chart.visibleSeries.map((s) => s.label).join(", ") || "nothing shown";
     frame.plot.setAttribute(

@@ -29,13 +29,13 @@ export function drawGround(ctx, view) {
 
 function drawGridNumbers(ctx, view, step) {
   const text = (v) => Number(v.toPrecision(6)).toString().replace("-", "−");
-  ctx.fillStyle = colour("--ink-3");
+  const ink = colour("--ink-3");
   ctx.textAlign = "center";
   ctx.textBaseline = "alphabetic";
-  for (let k = Math.ceil(view.fromX(40) / step); view.toX(k * step) < view.width - 90; k++) ctx.fillText(text(k * step), view.toX(k * step), view.height - 5);
+  for (let k = Math.ceil(view.fromX(40) / step); view.toX(k * step) < view.width - step * view.scale - 30; k++) halo(ctx, text(k * step), view.toX(k * step), view.height - 5, ink);
   ctx.textAlign = "left";
   ctx.textBaseline = "middle";
-  for (let k = Math.ceil(view.fromY(view.height - 30) / step); view.toY(k * step) > 30; k++) ctx.fillText(text(k * step), 5, view.toY(k * step));
+  for (let k = Math.ceil(view.fromY(view.height - 30) / step); view.toY(k * step) > 30; k++) halo(ctx, text(k * step), 5, view.toY(k * step), ink);
 }
 
 // One grid step, as long as it is on the floor.
@@ -143,21 +143,27 @@ export function halo(ctx, text, x, y, ink) {
 }
 
 // Events: a diamond where the path was when it began, with its kind.
+// Where they crowd, one mark stands for all within its reach.
 export function drawEvents(ctx, view, path, events) {
+  const taken = new Set();
   ctx.textAlign = "left";
   ctx.textBaseline = "middle";
   for (const event of events) {
     const pose = poseAt(path, event.t0);
     if (!pose) continue;
     const [px, py] = [view.toX(pose.x), view.toY(pose.y)];
+    const place = `${Math.round(px / 28)},${Math.round(py / 28)}`;
+    if (taken.has(place)) continue;
+    taken.add(place);
+    const size = events.length > 40 ? 3 : 6;
     ctx.fillStyle = colour(event.color ?? "--amber");
     ctx.strokeStyle = colour("--surface");
     ctx.lineWidth = 1.5;
     ctx.beginPath();
-    ctx.moveTo(px, py - 6);
-    ctx.lineTo(px + 6, py);
-    ctx.lineTo(px, py + 6);
-    ctx.lineTo(px - 6, py);
+    ctx.moveTo(px, py - size);
+    ctx.lineTo(px + size, py);
+    ctx.lineTo(px, py + size);
+    ctx.lineTo(px - size, py);
     ctx.closePath();
     ctx.fill();
     ctx.stroke();

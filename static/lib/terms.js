@@ -22,6 +22,12 @@ export const TERMS = {
   runtime_s: ["Run time", "Computing time of the estimate, after loading."],
   error_xy: ["Position error", "Distance between the path and the truth at each stamp.", "‖p(t) − p̂(t)‖"],
   error_theta: ["Heading error", "Heading difference to the truth at each stamp, wrapped.", "wrap(θ̂ − θ)"],
+  heading_max_rad: ["Largest heading error", "The largest heading difference to the truth anywhere on the run.", "max |wrap(θ̂ − θ)|"],
+  mean_m: ["Mean error", "Mean distance from the truth.", "mean ‖p(t) − p̂(t)‖"],
+  rpe_per_m_m: ["Relative error per metre", "How wrong one metre of way is, root mean square over all of them: an early mistake is not counted again later.", "‖(T(sᵢ)⁻¹ T(sᵢ+1 m))⁻¹ (T̂(sᵢ)⁻¹ T̂(sᵢ+1 m))‖"],
+  bias_drift_rad_s: ["Bias drift", "How far the gyro's bias moved from the start to the end of the run.", "b̂(t₁) − b̂(t₀)"],
+  gyro_bias: ["Gyro bias", "The turn rate that the gyro reads at rest, as the method estimates it; bands are one and two sigma of its own claim.", "b̂(t) ± σ, 2σ"],
+  distance_m: ["Length of the path", "Sum of all steps of the estimated path."],
   sampling: ["Sampling", "What is drawn is thinned by the server so that extremes stay; zoom in and it is drawn again from all samples."],
 };
 

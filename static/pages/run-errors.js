@@ -12,7 +12,7 @@ const DEG = 180 / Math.PI;
 export const QUANTITIES = {
   "error-xy": { title: "Position error", term: "error_xy", column: "error_xy", unit: "m", si: "m", factor: 1, zero: true, band: ["sd_x", "sd_y"], absent: "No position error: this run has no truth to compare with." },
   "error-theta": { title: "Heading error", term: "error_theta", column: "error_theta", unit: "°", si: "rad", factor: DEG, band: ["sd_theta"], absent: "No heading error: the truth has no heading." },
-  bias: { title: "Gyro bias", term: "gyro_bias", column: "bias", unit: "°/h", si: "rad/s", factor: DEG * 3600, band: ["bias_sd"], around: "bias", absent: "No gyro bias: no method here estimates one." },
+  bias: { title: "Gyro bias", term: "gyro_bias", column: "bias", unit: "°/h", si: "rad/s", factor: DEG * 3600, band: ["bias_sd"], around: "bias", settle: true, absent: "No gyro bias: no method here estimates one." },
 };
 
 export function estimateChart(host, id, { run, clock, state, estimates, lead, fileName }, extra = {}) {
@@ -35,6 +35,7 @@ export function estimateChart(host, id, { run, clock, state, estimates, lead, fi
     siUnit: q.si,
     siFactor: 1 / q.factor,
     zero: q.zero,
+    settle: q.settle,
     subject: run.name,
     fileName,
     clock,

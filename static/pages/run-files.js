@@ -55,7 +55,7 @@ function downloads(run, data) {
       fact("Run", h("span", { class: "links-row" }, data.exports.map((e) => link(e.path, e.label, e.what)))),
       fact("3D scene", link(`${API}/runs/${run.id}/files/scene.html`, "One HTML file", "Opens anywhere, without this server")),
       fact("This page", h("a", { href: `/runs/${run.id}.json` }, "JSON")),
-      fact("Every reading", h("span", { class: "links-row" }, run.streams.map((s) => h("a", { href: `${API}/runs/${run.id}/streams/${s.name}?points=20000&format=arrow`, download: `${s.name}.arrow`, "data-hint": "Arrow, thinned to 20,000 points; all readings are in the run folder above" }, `${s.name}.arrow`)))),
+      fact("Series", h("span", { class: "links-row" }, run.streams.map((s) => h("a", { href: `${API}/runs/${run.id}/streams/${s.name}?points=20000&format=arrow`, download: `${s.name}.arrow`, "data-hint": "Arrow, thinned to 20,000 points; all readings are in the run folder above" }, `${s.name}.arrow`)))),
     ),
     commandLine(`curl -O -J ${location.origin}${data.exports[0].path}`),
   );

@@ -13,6 +13,7 @@ const STYLES = [
   { color: "--c4", dash: [9, 3, 2, 3] },
 ];
 const HUMAN = { rad: ["°", DEG], "rad/s": ["°/s", DEG] };
+const TURNS = ["turns", 1 / (2 * Math.PI)]; // wheels: what people count
 const SPARSE = new Set(["beacon", "ranges"]); // readings that nothing connects: dots
 
 // Columns of one unit share a plot: [{ id, unit, columns: [{ name, label, unit }] }].
@@ -44,15 +45,14 @@ export function mountSignals(host, context) {
     { rootMargin: "240px" },
   );
 
-  const last = run.streams.length - 1;
-  run.streams.forEach((stream, i) => {
+  run.streams.forEach((stream) => {
     const plots = plotsOf(stream);
     const section = h("section", { class: "signal-stream", "data-stream": stream.name }, heading(stream));
     plots.forEach((plot, k) => {
-      const cell = h("div", { class: "signal", "data-signal": plot.id });
+      const showTime = k === plots.length - 1; // one time axis per stream
+      const cell = h("div", { class: showTime ? "signal timed" : "signal", "data-signal": plot.id });
       section.append(cell);
-      const bottom = k === plots.length - 1 && i === last;
-      pending.set(cell, () => signalChart(cell, stream, plot, context, bottom || k === plots.length - 1));
+      pending.set(cell, () => signalChart(cell, stream, plot, context, showTime));
       cell.classList.toggle("enlarged", state.big === plot.id);
       sight.observe(cell);
     });
@@ -88,11 +88,11 @@ function heading(stream) {
 }
 
 function signalChart(cell, stream, plot, { run, clock, state, fileName }, showTime) {
-  const [unit, factor] = HUMAN[plot.unit] ?? [plot.unit, 1];
+  const [unit, factor] = stream.name === "wheels" ? TURNS : (HUMAN[plot.unit] ?? [plot.unit, 1]);
   const dots = SPARSE.has(stream.name);
   const series = plot.columns.map((c, i) => ({
     key: c.name,
-    label: plot.columns.length > 1 || stream.name === "ranges" ? c.name : c.label,
+    label: stream.name === "ranges" ? c.name : c.label,
     help: c.label,
     csv: `${stream.name}.${c.name}`,
     width: 1.1,
@@ -102,12 +102,13 @@ function signalChart(cell, stream, plot, { run, clock, state, fileName }, showTi
   const names = plot.columns.map((c) => c.name);
   return createChart(cell, {
     id: plot.id,
-    title: stream.name === "ranges" ? "ranges" : plot.columns.length > 1 ? `${stream.name} ${names.join(", ")}` : `${stream.name} ${names[0]}`,
+    title: stream.name === "ranges" ? "range" : names.join(", "),
+    subject: `${run.name} · ${stream.name}`,
+    compact: true,
     help: plot.columns.map((c) => `${c.name}: ${c.label} [${c.unit}]`).join("; "),
     unit,
     siUnit: plot.unit,
     siFactor: 1 / factor,
-    subject: run.name,
     fileName,
     clock,
     series,

@@ -9,6 +9,9 @@ import { colour, onThemeChange, withAlpha } from "../lib/palette.js";
 const EDGE = 7; // px within which a window edge is caught
 const EVENT_COLOURS = { slip: "--red", collision: "--red", bounce: "--red", kidnap: "--red" };
 
+// Losses are common and long: a thin lane at the foot. What happened to the robot itself takes the full height.
+const lane = (kind) => (kind.endsWith("_loss") ? [23, 5] : [4, 24]);
+
 export const eventColour = (kind) => EVENT_COLOURS[kind] ?? "--amber";
 
 export function mountStrip(host, clock) {
@@ -52,7 +55,7 @@ export function mountStrip(host, clock) {
     ctx.fillRect(x(clock.full[0]), 4, x(clock.full[1]) - x(clock.full[0]), 24);
     for (const [a, b] of marks.motion) bar(ctx, a, b, 4, 24, colour("--line-strong"), 0.55);
     for (const [a, b] of marks.gaps) bar(ctx, a, b, 23, 5, colour("--amber"), 0.9);
-    for (const e of marks.events) bar(ctx, e.t0, e.t1, 4, 24, colour(e.color), 0.75);
+    for (const e of marks.events) bar(ctx, e.t0, e.t1, ...lane(e.kind), colour(e.color), 0.8);
     ticks(ctx, width, height);
     paintWindow(ctx);
     paintTime(ctx);

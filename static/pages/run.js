@@ -81,8 +81,8 @@ function showTab() {
   mounted?.destroy();
   const paintable = state.methods.some((m) => m.has);
   $("#split").hidden = !(state.tab === "path" && paintable);
-  $("#strip").hidden = !WITH_TIME.has(state.tab);
-  $("#methods").hidden = !(state.tab === "path" || state.tab === "bias") || !state.methods.length;
+  $("#strip").hidden = !WITH_TIME.has(state.tab) || (state.tab === "path" && !paintable);
+  $("#methods").hidden = !paintable || !(state.tab === "path" || state.tab === "bias");
   if (paintable && state.tab === "path") paths ??= mountPaths(context);
   mounted = TABS[state.tab]($(`#panel-${state.tab}`), context);
   tellEvents();
