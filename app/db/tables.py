@@ -50,28 +50,33 @@ class Run(Base):
     """One stored run. `id` is the first 16 hex digits of `sha256`, the hash of its description and readings."""
 
     __tablename__ = "runs"
+    # Rows are wide. These hold all that counting and sorting need, so that a list reads only the rows it shows.
+    __table_args__ = (
+        Index("ix_runs_facets", "deleted_at", "stream_names", "robot_id", "id"),
+        *(
+            Index(f"ix_runs_by_{key}", "deleted_at", key, "id")
+            for key in ("created_at", "name", "duration_s", "size_bytes", "best_ate_m", "bias_drift", "verdict")
+        ),
+    )
     id: Mapped[str] = mapped_column(String(16), primary_key=True)
     sha256: Mapped[str] = mapped_column(String(64), unique=True)
-    name: Mapped[str] = mapped_column(String(200), index=True)
+    name: Mapped[str] = mapped_column(String(200))
     robot_id: Mapped[int | None] = mapped_column(ForeignKey("robots.id"), index=True)
-    created_at: Mapped[datetime] = mapped_column(default=now, index=True)
-    deleted_at: Mapped[datetime | None] = mapped_column(index=True)
+    created_at: Mapped[datetime] = mapped_column(default=now)
+    deleted_at: Mapped[datetime | None]
     t0: Mapped[float]
     t1: Mapped[float]
-    duration_s: Mapped[float] = mapped_column(index=True)
+    duration_s: Mapped[float]
     size_bytes: Mapped[int] = mapped_column(BigInteger)
     meta: Mapped[dict[str, Any]]  # run.json as stored
     source: Mapped[dict[str, Any]]  # file name, format, mapping, size, sha256 of the upload, provenance
     warnings: Mapped[list[Any]]  # sentences
     notes: Mapped[str] = mapped_column(Text, default="")
     sparkline: Mapped[list[Any]]  # [[x, y], ...], at most 64 points of the best path known
-    # kept by app.store.runs: what free text looks in (name, robot, tags, notes, file name; case-folded), and the
-    # streams it has ("beacon imu")
-    search: Mapped[str] = mapped_column(Text, default="")
-    stream_names: Mapped[str] = mapped_column(String(200), default="")
+    stream_names: Mapped[str] = mapped_column(String(200), default="")  # the streams it has, sorted: "beacon imu"
     # what lists sort and filter by, kept by the store whenever results change
     best_method: Mapped[str | None] = mapped_column(String(40))
-    best_ate_m: Mapped[float | None] = mapped_column(index=True)
+    best_ate_m: Mapped[float | None]
     bias_drift: Mapped[float | None]  # rad/s, last minus first of the best gyro bias curve
     verdict: Mapped[str | None] = mapped_column(String(40))
     is_example: Mapped[bool] = mapped_column(default=False)
@@ -82,12 +87,22 @@ class Run(Base):
     )
     tags: Mapped[list[Tag]] = relationship(cascade="all, delete-orphan", order_by="Tag.tag")
     estimates: Mapped[list[Estimate]] = relationship(back_populates="run", cascade="all, delete-orphan")
+    words: Mapped[RunWords | None] = relationship(cascade="all, delete-orphan")
+
+
+class RunWords(Base):
+    """What free text looks in, a narrow table of its own: name, robot, tags, file name, notes; case-folded."""
+
+    __tablename__ = "run_words"
+    run_id: Mapped[str] = mapped_column(ForeignKey("runs.id", ondelete="CASCADE"), primary_key=True)
+    text: Mapped[str] = mapped_column(Text)
 
 
 class Tag(Base):
     __tablename__ = "tags"
     run_id: Mapped[str] = mapped_column(ForeignKey("runs.id", ondelete="CASCADE"), primary_key=True)
-    tag: Mapped[str] = mapped_column(String(60), primary_key=True, index=True)
+    tag: Mapped[str] = mapped_column(String(60), primary_key=True)
+    __table_args__ = (Index("ix_tags_tag_run_id", "tag", "run_id"),)
 
 
 class Stream(Base):

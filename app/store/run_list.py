@@ -7,15 +7,15 @@ import binascii
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import ColumnElement, Select, and_, func, or_, select
+from sqlalchemy import ColumnElement, Select, and_, func, literal, or_, select, union_all
 from sqlalchemy.orm import InstrumentedAttribute, Session, selectinload
 
-from app.db.tables import Robot, Run, Tag
+from app.db.tables import Robot, Run, RunWords, Tag
 from core.errors import ParameterError
 
 MAX_LIMIT = 500
@@ -57,6 +57,7 @@ SORTS: dict[str, ColumnElement[Any] | InstrumentedAttribute[Any]] = {
     "bias_drift_rad_s": Run.bias_drift,
     "verdict": Run.verdict,
 }
+NULLABLE = ("robot", "best_ate_m", "bias_drift_rad_s", "verdict")
 _FIELDS = {"robot": "robots", "tag": "tags", "has": "has", "gap": "verdicts"}
 _TERM = re.compile(r'(?:(?P<key>robot|tag|has|gap):)?(?:"(?P<quoted>[^"]*)"|(?P<word>\S+))', re.IGNORECASE)
 
@@ -87,8 +88,7 @@ def list_runs(session: Session, query: RunQuery) -> RunPage:
         raise ParameterError(f"limit is {query.limit}, expected 1 to {MAX_LIMIT}", parameter="limit", found=query.limit)
     parsed, words = parse(query)
     conditions = [Run.deleted_at.is_(None), *_conditions(parsed, words)]
-    facets = _facets(session, conditions)
-    total = sum(facets.pop("combinations").values())
+    total, facets = _facets(session, conditions)
     ids, following = _page(session, query, conditions)
     rows = session.scalars(
         select(Run).where(Run.id.in_(ids)).options(selectinload(Run.streams), selectinload(Run.tags))
@@ -98,9 +98,9 @@ def list_runs(session: Session, query: RunQuery) -> RunPage:
 
 
 def _conditions(query: RunQuery, words: Iterable[str]) -> Iterable[ColumnElement[bool]]:
-    for word in words:
-        escaped = word.replace("\\", "\\\\").replace("%", "\\%").replace("_", "\\_")
-        yield Run.search.like(f"%{escaped}%", escape="\\")
+    holding = [RunWords.text.contains(word, autoescape=True) for word in words]
+    if holding:
+        yield Run.id.in_(select(RunWords.run_id).where(*holding))
     if query.robots:
         names = [r.lower() for r in query.robots]
         yield Run.robot_id.in_(select(Robot.id).where(func.lower(Robot.name).in_(names)))
@@ -124,18 +124,22 @@ def _page(session: Session, query: RunQuery, conditions: list[ColumnElement[bool
         statement = statement.outerjoin(Robot, Robot.id == Run.robot_id)
     if query.cursor:
         value, last_id = _decode(query.cursor, query.sort, parse_time=name == "created_at")
-        statement = statement.where(_after(key, value, last_id, descending))
-    order = [key.desc(), Run.id.desc()] if descending else [key.asc(), Run.id.asc()]
-    rows = session.execute(statement.order_by(key.is_(None), *order).limit(query.limit + 1)).all()
+        statement = statement.where(_after(key, value, last_id, descending, name in NULLABLE))
+    order: list[Any] = [key.desc(), Run.id.desc()] if descending else [key.asc(), Run.id.asc()]
+    if name in NULLABLE:
+        order.insert(0, key.is_(None))
+    rows = session.execute(statement.order_by(*order).limit(query.limit + 1)).all()
     page = rows[: query.limit]
     following = _encode(query.sort, page[-1][1], page[-1][0]) if len(rows) > query.limit else None
     return [row[0] for row in page], following
 
 
-def _after(key: Any, value: Any, last_id: str, descending: bool) -> ColumnElement[bool]:
+def _after(key: Any, value: Any, last_id: str, descending: bool, nullable: bool) -> ColumnElement[bool]:
     beyond: Callable[[Any, Any], Any] = (lambda a, b: a < b) if descending else (lambda a, b: a > b)
     same = and_(key.is_(None) if value is None else key == value, beyond(Run.id, last_id))
-    return same if value is None else or_(beyond(key, value), same, key.is_(None))
+    if value is None:
+        return same
+    return or_(beyond(key, value), same, *([key.is_(None)] if nullable else []))
 
 
 def _encode(sort: str, value: Any, last_id: str) -> str:
@@ -155,35 +159,26 @@ def _decode(cursor: str, sort: str, *, parse_time: bool) -> tuple[Any, str]:
         ) from None
 
 
-def _facets(session: Session, conditions: list[ColumnElement[bool]]) -> dict[str, dict[str, int]]:
-    robots = session.execute(
-        select(Robot.name, func.count())
-        .join(Run, Run.robot_id == Robot.id)
-        .where(*conditions)
-        .group_by(Robot.name)
-        .order_by(func.count().desc(), Robot.name)
-    ).all()
-    tags = session.execute(
-        select(Tag.tag, func.count())
-        .join(Run, Run.id == Tag.run_id)
-        .where(*conditions)
-        .group_by(Tag.tag)
-        .order_by(func.count().desc(), Tag.tag)
-    ).all()
-    # a handful of combinations, so the streams are counted from them rather than from a row per stream
-    combinations = session.execute(
-        select(Run.stream_names, func.count()).where(*conditions).group_by(Run.stream_names)
-    ).all()
-    streams: Counter[str] = Counter()
-    for names, count in combinations:
-        streams.update(dict.fromkeys(names.split(), count))
-    return {
-        "robots": _counts(robots),
-        "tags": _counts(tags),
-        "streams": dict(streams.most_common()),
-        "combinations": _counts(combinations),
-    }
-
-
-def _counts(rows: Sequence[Any]) -> dict[str, int]:
-    return {row[0]: row[1] for row in rows}
+def _facets(session: Session, conditions: list[ColumnElement[bool]]) -> tuple[int, dict[str, dict[str, int]]]:
+    """How many match in all, and by robot, tag and stream; in one statement, so that the matches are found once."""
+    hit = select(Run.id, Run.robot_id, Run.stream_names).where(*conditions).cte("hit")
+    count = func.count()
+    if len(conditions) == 1:  # nothing but "not deleted": the few that are deleted are sooner left out
+        tagged = Tag.run_id.not_in(select(Run.id).where(Run.deleted_at.is_not(None)))
+    else:
+        tagged = Tag.run_id.in_(select(hit.c.id))
+    parts = union_all(
+        select(literal("robots"), Robot.name, count).join(hit, hit.c.robot_id == Robot.id).group_by(Robot.name),
+        select(literal("tags"), Tag.tag, count).where(tagged).group_by(Tag.tag),
+        # a handful of combinations, so the streams are counted from them rather than from a row per stream
+        select(literal("combinations"), hit.c.stream_names, count).group_by(hit.c.stream_names),
+    )
+    counts: dict[str, Counter[str]] = {"robots": Counter(), "tags": Counter(), "streams": Counter()}
+    total = 0
+    for kind, name, n in session.execute(parts):
+        if kind == "combinations":
+            total += n
+            counts["streams"].update(dict.fromkeys(name.split(), n))
+        else:
+            counts[kind][name] = n
+    return total, {kind: dict(sorted(c.items(), key=lambda item: (-item[1], item[0]))) for kind, c in counts.items()}

@@ -12,7 +12,7 @@ from sqlalchemy import Engine, delete, select
 from sqlalchemy.orm import Session, selectinload
 
 from app.db.session import reading
-from app.db.tables import Estimate, Robot, Run, Stream, Tag, now
+from app.db.tables import Estimate, Robot, Run, RunWords, Stream, Tag, now
 from app.errors import ConflictError, NotFoundError
 from app.settings import Settings
 from app.store import arrays
@@ -205,4 +205,8 @@ def _index(run: Run) -> None:
         str(run.source.get("file_name", "")),
         run.notes,
     )
-    run.search = "\n".join(words).casefold()
+    text = "\n".join(words).casefold()
+    if run.words is None:
+        run.words = RunWords(text=text)
+    else:
+        run.words.text = text

@@ -73,7 +73,6 @@ def upgrade() -> None:
         sa.Column("warnings", sa.JSON(), nullable=False),
         sa.Column("notes", sa.Text(), nullable=False),
         sa.Column("sparkline", sa.JSON(), nullable=False),
-        sa.Column("search", sa.Text(), nullable=False),
         sa.Column("stream_names", sa.String(length=200), nullable=False),
         sa.Column("best_method", sa.String(length=40), nullable=True),
         sa.Column("best_ate_m", sa.Double(), nullable=True),
@@ -85,11 +84,14 @@ def upgrade() -> None:
         sa.UniqueConstraint("sha256", name=op.f("uq_runs_sha256")),
     )
     with op.batch_alter_table("runs", schema=None) as batch_op:
-        batch_op.create_index(batch_op.f("ix_runs_best_ate_m"), ["best_ate_m"], unique=False)
-        batch_op.create_index(batch_op.f("ix_runs_created_at"), ["created_at"], unique=False)
-        batch_op.create_index(batch_op.f("ix_runs_deleted_at"), ["deleted_at"], unique=False)
-        batch_op.create_index(batch_op.f("ix_runs_duration_s"), ["duration_s"], unique=False)
-        batch_op.create_index(batch_op.f("ix_runs_name"), ["name"], unique=False)
+        batch_op.create_index("ix_runs_by_best_ate_m", ["deleted_at", "best_ate_m", "id"], unique=False)
+        batch_op.create_index("ix_runs_by_bias_drift", ["deleted_at", "bias_drift", "id"], unique=False)
+        batch_op.create_index("ix_runs_by_created_at", ["deleted_at", "created_at", "id"], unique=False)
+        batch_op.create_index("ix_runs_by_duration_s", ["deleted_at", "duration_s", "id"], unique=False)
+        batch_op.create_index("ix_runs_by_name", ["deleted_at", "name", "id"], unique=False)
+        batch_op.create_index("ix_runs_by_size_bytes", ["deleted_at", "size_bytes", "id"], unique=False)
+        batch_op.create_index("ix_runs_by_verdict", ["deleted_at", "verdict", "id"], unique=False)
+        batch_op.create_index("ix_runs_facets", ["deleted_at", "stream_names", "robot_id", "id"], unique=False)
         batch_op.create_index(batch_op.f("ix_runs_robot_id"), ["robot_id"], unique=False)
 
     op.create_table(
@@ -142,6 +144,13 @@ def upgrade() -> None:
         batch_op.create_index("ix_jobs_state_created_at", ["state", "created_at"], unique=False)
 
     op.create_table(
+        "run_words",
+        sa.Column("run_id", sa.String(length=16), nullable=False),
+        sa.Column("text", sa.Text(), nullable=False),
+        sa.ForeignKeyConstraint(["run_id"], ["runs.id"], name=op.f("fk_run_words_run_id_runs"), ondelete="CASCADE"),
+        sa.PrimaryKeyConstraint("run_id", name=op.f("pk_run_words")),
+    )
+    op.create_table(
         "streams",
         sa.Column("id", sa.Integer(), nullable=False),
         sa.Column("run_id", sa.String(length=16), nullable=False),
@@ -169,7 +178,7 @@ def upgrade() -> None:
         sa.PrimaryKeyConstraint("run_id", "tag", name=op.f("pk_tags")),
     )
     with op.batch_alter_table("tags", schema=None) as batch_op:
-        batch_op.create_index(batch_op.f("ix_tags_tag"), ["tag"], unique=False)
+        batch_op.create_index("ix_tags_tag_run_id", ["tag", "run_id"], unique=False)
 
     op.create_table(
         "metrics",
@@ -194,7 +203,7 @@ def downgrade() -> None:
 
     op.drop_table("metrics")
     with op.batch_alter_table("tags", schema=None) as batch_op:
-        batch_op.drop_index(batch_op.f("ix_tags_tag"))
+        batch_op.drop_index("ix_tags_tag_run_id")
 
     op.drop_table("tags")
     with op.batch_alter_table("streams", schema=None) as batch_op:
@@ -202,6 +211,7 @@ def downgrade() -> None:
         batch_op.drop_index(batch_op.f("ix_streams_name"))
 
     op.drop_table("streams")
+    op.drop_table("run_words")
     with op.batch_alter_table("jobs", schema=None) as batch_op:
         batch_op.drop_index("ix_jobs_state_created_at")
         batch_op.drop_index(batch_op.f("ix_jobs_run_id"))
@@ -214,11 +224,14 @@ def downgrade() -> None:
     op.drop_table("estimates")
     with op.batch_alter_table("runs", schema=None) as batch_op:
         batch_op.drop_index(batch_op.f("ix_runs_robot_id"))
-        batch_op.drop_index(batch_op.f("ix_runs_name"))
-        batch_op.drop_index(batch_op.f("ix_runs_duration_s"))
-        batch_op.drop_index(batch_op.f("ix_runs_deleted_at"))
-        batch_op.drop_index(batch_op.f("ix_runs_created_at"))
-        batch_op.drop_index(batch_op.f("ix_runs_best_ate_m"))
+        batch_op.drop_index("ix_runs_facets")
+        batch_op.drop_index("ix_runs_by_verdict")
+        batch_op.drop_index("ix_runs_by_size_bytes")
+        batch_op.drop_index("ix_runs_by_name")
+        batch_op.drop_index("ix_runs_by_duration_s")
+        batch_op.drop_index("ix_runs_by_created_at")
+        batch_op.drop_index("ix_runs_by_bias_drift")
+        batch_op.drop_index("ix_runs_by_best_ate_m")
 
     op.drop_table("runs")
     with op.batch_alter_table("uploads", schema=None) as batch_op:
