@@ -5,25 +5,27 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Request, Response, WebSocket
 from starlette.websockets import WebSocketDisconnect
 
 from app.errors import NotFoundError, problem_of
-from app.scene.build import export_html
 from app.scene.cursor import check_change
+from app.scene.pool import BusyError, Scenes
 from app.scene.proxy import GONE, NOT_FOUND, TRY_AGAIN, RunId, scenes
-from app.scene.servers import BusyError, Scene
 from core.errors import ParameterError
 
-router = APIRouter(prefix="/api/v1", tags=["scenes"])
+if TYPE_CHECKING:
+    from app.scene.servers import Scene
+
+router = APIRouter(tags=["scenes"])
 
 ViewerQuery = Annotated[str, Query(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
 MAX_MESSAGE = 4096
 
 
-@router.get("/scenes/{run}", operation_id="getScene", summary="The 3D scene of a run: its viewers and their cursors")
+@router.get("/scenes/{run}", summary="The 3D scene of a run: its viewers and their cursors")
 async def get_scene(run: RunId, request: Request) -> dict[str, Any]:
     """Never opens a scene; `open` says whether anybody has."""
     scene = scenes(request).get(run)
@@ -33,7 +35,6 @@ async def get_scene(run: RunId, request: Request) -> dict[str, Any]:
 
 @router.get(
     "/runs/{run}/files/scene.html",
-    operation_id="getSceneFile",
     summary="The 3D scene as one self-contained HTML file",
     response_class=Response,
 )
@@ -41,13 +42,18 @@ async def get_scene_file(
     run: RunId, request: Request, theme: Annotated[Literal["light", "dark"], Query()] = "light"
 ) -> Response:
     """Opens anywhere, without this server; robots stand where their paths end."""
-    data = await asyncio.to_thread(scenes(request).data, run)
-    html = await asyncio.to_thread(export_html, data, theme)
+    html = await asyncio.to_thread(_export, scenes(request), run, theme)
     headers = {
         "Content-Disposition": f'attachment; filename="{run}-scene.html"',
         "Content-Security-Policy": "sandbox; default-src 'none'",  # to be kept, not to be shown from here
     }
     return Response(html, media_type="text/html", headers=headers)
+
+
+def _export(pool: Scenes, run: str, theme: str) -> str:
+    from app.scene.build import export_html
+
+    return export_html(pool.data(run), theme)
 
 
 @router.websocket("/scenes/{run}/cursor")
@@ -58,7 +64,7 @@ async def cursor(ws: WebSocket, run: RunId, viewer: ViewerQuery) -> None:
         scene = await asyncio.to_thread(scenes(ws).open, run)
     except (NotFoundError, BusyError) as error:
         with contextlib.suppress(*GONE):
-            await ws.send_json({"type": "problem", **problem_of(error)})
+            await ws.send_json({**problem_of(error), "type": "problem"})
             await ws.close(NOT_FOUND if isinstance(error, NotFoundError) else TRY_AGAIN)
         return
     loop, outbox = asyncio.get_running_loop(), asyncio.Queue[dict[str, Any]](maxsize=64)
@@ -98,8 +104,8 @@ async def _receive(ws: WebSocket, scene: Scene, viewer: str, hear: Any, put: Any
                     raise ParameterError("a cursor message is too long", expected=MAX_MESSAGE, found=len(text))
                 change = check_change(json.loads(text))
             except json.JSONDecodeError as error:
-                put({"type": "problem", **problem_of(ParameterError(f"not JSON: {error.msg}"))})
+                put({**problem_of(ParameterError(f"not JSON: {error.msg}")), "type": "problem"})
             except ParameterError as error:
-                put({"type": "problem", **problem_of(error)})
+                put({**problem_of(error), "type": "problem"})
             else:
                 scene.change(viewer, change, hear)

@@ -24,7 +24,6 @@ from app.scene import shapes
 from app.scene.data import DEFAULT_TRACK_WIDTH, DEFAULT_WHEEL_RADIUS, SceneData, ScenePath
 from app.scene.style import BEACON, FIXES, THEME, THEMES, slug, stroke
 
-MAX_FIXES = 20_000
 MAX_BEACONS = 200
 ELLIPSES = 24  # per path
 SIGMAS = 2.0
@@ -49,7 +48,7 @@ class Layout:
 
 def layout(data: SceneData) -> Layout:
     """The sizes for this run."""
-    clouds = [_sample(path) for path in data.paths] + [data.fixes[:: max(1, len(data.fixes) // MAX_FIXES)]]
+    clouds = [*map(_sample, data.paths), data.fixes]
     clouds.append(np.array([p[:2] for p in data.beacons.values()], dtype=np.float64).reshape(-1, 2))
     heights = [p[2] for p in data.beacons.values()]
     extent = shapes.extent_of(clouds, max(heights, default=0.0))
@@ -128,7 +127,6 @@ def add_beacon(
 
 def _add_fixes(scene: viser.SceneApi, data: SceneData, sizes: Layout) -> None:
     rows = data.fixes[np.isfinite(data.fixes).all(axis=1)]
-    rows = rows[:: max(1, -(-len(rows) // MAX_FIXES))]
     points = np.column_stack((rows, np.full(len(rows), sizes.level(-0.5)))).astype(np.float32)
     size = sizes.unit * (0.5 if len(points) < 2000 else 0.3)
     scene.add_point_cloud(

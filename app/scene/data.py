@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -16,6 +17,7 @@ Floats = npt.NDArray[np.floating]
 
 DEFAULT_WHEEL_RADIUS = 0.075  # m, where the run doesn't say
 DEFAULT_TRACK_WIDTH = 0.32  # m
+MAX_FIXES = 20_000
 
 
 @dataclass(frozen=True)
@@ -60,14 +62,14 @@ class ScenePath:
         return i, (t - float(self.t[i])) / step if step > 0 else 0.0
 
     def pose_at(self, t: float) -> tuple[float, float, float]:
-        """x, y, theta at t, linear between rows and held past the ends; two look-ups, whatever the length."""
+        """x, y, theta at t: linear between rows, the short way round, held past the ends. Two look-ups."""
         i, fraction = self.row(t)
-        j = min(i + 1, len(self.t) - 1)
-        x, y, theta = (
-            float(c[i]) + fraction * (float(c[j]) - float(c[i])) if fraction else float(c[i])
-            for c in (self.x, self.y, self.theta)
-        )
-        return x, y, theta
+        x, y, theta = float(self.x[i]), float(self.y[i]), float(self.theta[i])
+        if not fraction:
+            return x, y, theta
+        dx, dy, turn = float(self.x[i + 1]) - x, float(self.y[i + 1]) - y, float(self.theta[i + 1]) - theta
+        turn = (turn + math.pi) % (2 * math.pi) - math.pi
+        return x + fraction * dx, y + fraction * dy, theta + fraction * turn
 
 
 @dataclass(frozen=True)
@@ -101,11 +103,9 @@ def from_core(
         spread = None if sd is None or covariance is None else Spread(sd[:, 0], sd[:, 1], covariance[:, 0, 1])
         columns = (trajectory.t, trajectory.x, trajectory.y, trajectory.theta)
         paths.append(ScenePath(method, names.get(method, method), *columns, spread))
-    fixes = np.column_stack((run.beacon.x, run.beacon.y)) if run.beacon is not None else np.zeros((0, 2))
     t0, t1 = run.span
-    return SceneData(
-        run_id, run.meta.name or run_id, t0, t1, tuple(paths), dict(run.meta.beacons), fixes, run.meta.robot
-    )
+    name, beacons = run.meta.name or run_id, dict(run.meta.beacons)
+    return SceneData(run_id, name, t0, t1, tuple(paths), beacons, fixes_of(run), run.meta.robot)
 
 
 def truth_path(run: Run) -> ScenePath | None:
@@ -113,7 +113,13 @@ def truth_path(run: Run) -> ScenePath | None:
     truth = run.truth
     if truth is None or truth.x is None or truth.y is None or not len(truth):
         return None
-    theta = truth.theta if truth.theta is not None else np.full(len(truth), np.nan)
-    if not np.isfinite(theta).all():
-        return ScenePath("truth", "truth", truth.t, truth.x, truth.y, theta)
-    return ScenePath("truth", "truth", truth.t, truth.x, truth.y, np.unwrap(theta))
+    theta = truth.theta if truth.theta is not None else np.broadcast_to(np.nan, len(truth))
+    return ScenePath("truth", "Truth", truth.t, truth.x, truth.y, theta)
+
+
+def fixes_of(run: Run) -> Floats:
+    """(M, 2) beacon fixes of a run, every so manieth where there are very many."""
+    if run.beacon is None:
+        return np.zeros((0, 2))
+    step = max(1, len(run.beacon) // MAX_FIXES)
+    return np.column_stack((run.beacon.x[::step], run.beacon.y[::step]))

@@ -26,6 +26,7 @@ class Panel:
     ) -> None:
         gui, self._change, self._last = handle.gui, change, 0.0
         gui.set_panel_label(data.name[:40])
+        gui.main_panel.dock_right()
         span = max(data.t1 - data.t0, 1e-3)
         self._time = gui.add_slider("time / s", data.t0, data.t0 + span, max(span / 5000, 1e-3), data.t0)
         self._play = gui.add_checkbox("play", cursor.playing)

@@ -16,7 +16,7 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path as FilePath
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import msgpack
 import websockets
@@ -26,7 +26,10 @@ from starlette.websockets import WebSocketDisconnect, WebSocketState
 from websockets.asyncio.client import ClientConnection, connect
 
 from app.errors import NotFoundError
-from app.scene.servers import KEY_HEADER, VIEWER_HEADER, BusyError, Scene, Scenes
+from app.scene.pool import KEY_HEADER, VIEWER_HEADER, BusyError, Scenes
+
+if TYPE_CHECKING:
+    from app.scene.servers import Scene
 
 router = APIRouter(include_in_schema=False)
 
