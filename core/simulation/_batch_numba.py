@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import zlib
+from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +13,7 @@ from numba import njit, prange
 
 from core.simulation._drive_numba import compiled
 from core.simulation._rollout_numba import EDGE, NODE, rollout
-from core.simulation._sense_numba import sense_beacon, sense_imu, sense_pose, sense_ranges, sense_wheels
+from core.simulation._sense_numba import path_edges, sense_beacon, sense_imu, sense_pose, sense_ranges, sense_wheels
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -22,12 +25,14 @@ class Inputs(NamedTuple):
     times (C,): command stamps; left, right (C, 2): rim set-points [m/s] and slopes. wheels, beacon, ranges, truth:
     stamps [s], empty where the stream is absent. imu (N,): stamps; warmth (N,): temperature - first [K]; grid (G,):
     window edges in the IMU's stamps; lo, hi (N,): each sample's edges. anchor (M,): beacon index of each range;
-    anchors (A, 3) [m]. restarts (K, 4): t, x, y, theta at which the pose is set anew.
+    anchors (A, 3) [m]. cuts (M,): instants at which every rollout ends a piece. restarts (K, 4): t, x, y, theta at
+    which the pose is set anew.
     """
 
     times: Array
     left: Array
     right: Array
+    cuts: Array
     restarts: Array
     wheels: Array
     imu: Array
@@ -65,42 +70,84 @@ class Outputs(NamedTuple):
 
 
 @compiled
-def simulate_every(
-    sets: Array,
-    ends: Array,
-    inputs: Inputs,
-    capacity: int,
-    out: Outputs,
-    status: Indices,
-    first: int,
-    step: int,
-) -> None:
-    """Parameter sets first, first + step, ... of `sets` (B, SLOTS), each to its end (B,) [s].
+def sense(par: Array, nodes: Array, n: int, edges: Array, inputs: Inputs, out: Outputs, b: int) -> None:
+    """Every sensor's readings of a path, into row b of `out`."""
+    sense_wheels(par, nodes, n, inputs.wheels, out.left[b], out.right[b])
+    sense_imu(
+        par, edges, inputs.lo, inputs.hi, inputs.grid, inputs.imu, inputs.warmth,
+        out.gz[b], out.ax[b], out.ay[b], out.speed[b],
+    )  # fmt: skip
+    sense_beacon(par, nodes, n, inputs.beacon, out.beacon_x[b], out.beacon_y[b], out.beacon_theta[b])
+    sense_ranges(par, nodes, n, inputs.ranges, inputs.anchor, inputs.anchors, out.range[b])
+    sense_pose(nodes, n, inputs.truth, out.x[b], out.y[b], out.theta[b])
 
-    status (B,) gets the number of nodes, or -1 where `capacity` was too small.
+
+def _entry_points(
+    digest: int,
+) -> tuple[Callable[..., None], Callable[..., None], Callable[..., int], Callable[..., None]]:
+    """The compiled functions that Python calls. numba's cache sees a change of this file, and of what they close over,
+    but not of the files that they call into: so they close over a digest of those.
     """
-    nodes = np.empty((capacity, NODE))
-    edges = np.empty((inputs.grid.shape[0], EDGE))
-    for b in range(first, sets.shape[0], step):
-        par = sets[b]
-        n = rollout(par, inputs.times, inputs.left, inputs.right, inputs.grid, inputs.restarts, ends[b], nodes, edges)
-        status[b] = n
-        if n < 0:
-            continue
-        sense_wheels(par, nodes, n, inputs.wheels, out.left[b], out.right[b])
-        sense_imu(
-            par, edges, inputs.lo, inputs.hi, inputs.grid, inputs.imu, inputs.warmth,
-            out.gz[b], out.ax[b], out.ay[b], out.speed[b],
-        )  # fmt: skip
-        sense_beacon(par, nodes, n, inputs.beacon, out.beacon_x[b], out.beacon_y[b], out.beacon_theta[b])
-        sense_ranges(par, nodes, n, inputs.ranges, inputs.anchor, inputs.anchors, out.range[b])
-        sense_pose(nodes, n, inputs.truth, out.x[b], out.y[b], out.theta[b])
+
+    @njit(cache=True, nogil=True, error_model="numpy")
+    def simulate_every(
+        sets: Array,
+        ends: Array,
+        inputs: Inputs,
+        capacity: int,
+        out: Outputs,
+        status: Indices,
+        first: int,
+        step: int,
+    ) -> None:
+        nodes = np.empty((capacity, NODE))
+        edges = np.empty((inputs.grid.shape[0], EDGE))
+        for b in range(first, sets.shape[0], step):
+            status[b] = digest and rollout(
+                sets[b],
+                inputs.times,
+                inputs.left,
+                inputs.right,
+                inputs.cuts,
+                inputs.grid,
+                inputs.restarts,
+                ends[b],
+                nodes,
+                edges,
+            )
+            if status[b] >= 0:
+                sense(sets[b], nodes, status[b], edges, inputs, out, b)
+
+    @njit(cache=True, parallel=True, error_model="numpy")
+    def simulate_batch(
+        sets: Array, ends: Array, inputs: Inputs, capacity: int, out: Outputs, status: Indices, workers: int
+    ) -> None:
+        for k in prange(workers):
+            simulate_every(sets, ends, inputs, capacity, out, status, k, workers)
+
+    @njit(cache=True, nogil=True, error_model="numpy")
+    def roll(par: Array, end: float, inputs: Inputs, nodes: Array, edges: Array) -> int:
+        return digest and rollout(
+            par, inputs.times, inputs.left, inputs.right, inputs.cuts, inputs.grid, inputs.restarts, end, nodes, edges
+        )
+
+    @njit(cache=True, nogil=True, error_model="numpy")
+    def sense_path(par: Array, nodes: Array, inputs: Inputs, out: Outputs) -> None:
+        if digest:
+            edges = np.empty((inputs.grid.shape[0], EDGE))
+            path_edges(par, nodes, nodes.shape[0], inputs.grid, edges)
+            sense(par, nodes, nodes.shape[0], edges, inputs, out, 0)
+
+    return simulate_every, simulate_batch, roll, sense_path
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def simulate_batch(
-    sets: Array, ends: Array, inputs: Inputs, capacity: int, out: Outputs, status: Indices, workers: int
-) -> None:
-    """`simulate_every`, the sets dealt out over `workers` threads."""
-    for k in prange(workers):
-        simulate_every(sets, ends, inputs, capacity, out, status, k, workers)
+KERNELS = ("params.py", "_drive_numba.py", "_rollout_numba.py", "_sense_numba.py")
+_DIGEST = zlib.crc32(b"".join(Path(__file__).with_name(name).read_bytes() for name in KERNELS)) | 1
+
+simulate_every, simulate_batch, roll, sense_path = _entry_points(_DIGEST)
+"""simulate_every(sets, ends, inputs, capacity, out, status, first, step): parameter sets first, first + step, ... of
+`sets` (B, SLOTS), each to its end (B,) [s]; status (B,) gets the number of nodes, or -1 where `capacity` was too small.
+simulate_batch(sets, ends, inputs, capacity, out, status, workers): the same, all sets, dealt out over threads.
+roll(par, end, inputs, nodes, edges): the path alone; returns the number of nodes or -1.
+sense_path(par, nodes, inputs, out): the readings of a smooth path given by its nodes, into row 0.
+"""

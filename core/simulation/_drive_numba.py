@@ -20,7 +20,8 @@ EVENT = 1e-9
 TOLERANCE = 1e-12
 """Speeds that differ by less [m/s] are the same."""
 
-compiled = njit(cache=True, nogil=True, error_model="numpy")
+compiled = njit(nogil=True, error_model="numpy")
+"""For inner functions: compiled into their callers, kept on disk only as parts of `_batch_numba`'s entry points."""
 
 
 @compiled

@@ -1,10 +1,10 @@
 """Compiled: commands -> wheels -> body, piece by piece. Plain arrays in and out; `simulate.py` keeps checks and docs.
 
-Time is cut at every command sample (shifted by the delay), IMU window edge, restart, and event: a wheel enters or
-leaves its dead band or a limit, the body crosses the edge of a slip patch. In between, each rim speed is exactly
-`p + q*s + c*exp(-s/tau)` (see `_drive_numba`), so wheel angles and heading are integrated in closed form and only the
-small rotation within a piece (at most MAX_STEP long) is left to Simpson's rule. Speeds may jump between pieces: then
-two nodes share a stamp.
+Time is cut at every command sample (shifted by the delay), at given instants (the IMU windows' edges), at restarts and
+at events: a wheel enters or leaves its dead band or a limit, the body crosses the edge of a slip patch. In between,
+each rim speed is exactly `p + q*s + c*exp(-s/tau)` (see `_drive_numba`), so wheel angles and heading are integrated in
+closed form and only the small rotation within a piece (at most MAX_STEP long) is left to Simpson's rule. Speeds may
+jump between pieces: then two nodes share a stamp.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ MAX_STEP = 0.01
 BUMP_SPAN = 0.3
 SAME = 1e-12
 """Instants nearer than this [s] are one."""
+SETTLED = 1e-6
+"""A lag's transient below this [m/s] has died out."""
 JUMP = 1e-9
 """Speeds that differ by less [m/s, rad/s] do not jump."""
 
@@ -164,14 +166,20 @@ def put_node(nodes: Array, n: int, state: Array) -> int:
 
 
 @compiled
+def edge_at(par: Array, grid: Array, g: int) -> float:
+    """The instant of a window edge, out of the IMU's stamps."""
+    return (grid[g] - par[P.CLOCK_OFFSET]) * par[P.CLOCK_RATE]
+
+
+@compiled
 def at_rest(par: Array, grid: Array, nodes: Array, edges: Array, state: Array) -> int:
     """Start pose into `state` and the first two nodes; rows of the window edges before t = 0. Returns how many."""
     put_pose(state, par[P.X0], par[P.Y0], par[P.TH0], par)
     state[T] = -1e6
     put_node(nodes, 0, state)
     g = 0
-    while g < grid.shape[0] and (grid[g] - par[P.CLOCK_OFFSET]) * par[P.CLOCK_RATE] <= 0.0:
-        t = (grid[g] - par[P.CLOCK_OFFSET]) * par[P.CLOCK_RATE]
+    while g < grid.shape[0] and edge_at(par, grid, g) <= 0.0:
+        t = edge_at(par, grid, g)
         state[CC], state[SS] = t * state[COS], t * state[SIN]
         put_edge(edges, g, state)
         g += 1
@@ -206,8 +214,35 @@ def advance(
 
 
 @compiled
-def piece(par: Array, state: Array, nodes: Array, n: int, to: float, left: Triple, right: Triple) -> int:
-    """Drive and body from the state's instant to `to` at most; left, right: (set-point, slope). Returns new n."""
+def edges_within(
+    par: Array, state: Array, left: Piece, right: Piece, h: float, grid: Array, g: int, edges: Array
+) -> int:
+    """Rows of the window edges inside a piece (not at its end), by as many shorter pieces. Returns the next g."""
+    while g < grid.shape[0] and edge_at(par, grid, g) < state[T] + h - SAME:
+        s = edge_at(par, grid, g) - state[T]
+        half = np.exp(-0.5 * s * par[P.ITAU])
+        moved, _, end, sums = body(left, right, s, half, state[T], state[INSIDE] != 0.0, par)
+        then = state.copy()
+        advance(then, moved, end, sums)
+        put_edge(edges, g, then)
+        g += 1
+    return g
+
+
+@compiled
+def piece(
+    par: Array,
+    state: Array,
+    nodes: Array,
+    n: int,
+    to: float,
+    left: Piece,
+    right: Piece,
+    grid: Array,
+    g: int,
+    edges: Array,
+) -> tuple[int, int]:
+    """Drive and body from the state's instant to `to` at most; left, right: set-points. Returns the next n and g."""
     t = state[T]
     h = to - t
     sag0, sag1 = 1.0, 1.0
@@ -215,6 +250,8 @@ def piece(par: Array, state: Array, nodes: Array, n: int, to: float, left: Tripl
         sag0, sag1 = np.exp(-par[P.SAG] * t), np.exp(-par[P.SAG] * to)
     h, lag_l, limited_l, rim_l = wheel(left, h, sag0, sag1, state[YL], state[ZL], par)
     h, lag_r, limited_r, rim_r = wheel(right, h, sag0, sag1, state[YR], state[ZR], par)
+    if abs(lag_l[2]) + abs(lag_r[2]) > SETTLED:  # so that a cubic between nodes follows the exponential
+        h = min(h, 0.5 * par[P.TAU])
     crosses = False
     if par[P.PATCH_SLIP] != 0.0:
         h, crosses = cut_at_patch(rim_l, rim_r, h, state, par)
@@ -225,6 +262,7 @@ def piece(par: Array, state: Array, nodes: Array, n: int, to: float, left: Tripl
         put_speeds(state, start)
         state[SL], state[SR] = sl, sr
         n = put_node(nodes, n, state)
+    g = edges_within(par, state, rim_l, rim_r, h, grid, g, edges)
     advance(state, moved, end, sums)
     state[SL], way_l = end_of(rim_l, h, half, par)
     state[SR], way_r = end_of(rim_r, h, half, par)
@@ -236,19 +274,19 @@ def piece(par: Array, state: Array, nodes: Array, n: int, to: float, left: Tripl
     if crosses:
         state[INSIDE] = 1.0 - state[INSIDE]
     state[T] = to if t + h >= to - SAME else t + h
-    return put_node(nodes, n, state)
+    return put_node(nodes, n, state), g
 
 
 @compiled
 def target(
-    par: Array, t: float, t_end: float, times: Array, j: int, grid: Array, g: int, restarts: Array, k: int
+    par: Array, t: float, t_end: float, times: Array, j: int, cuts: Array, m: int, restarts: Array, k: int
 ) -> float:
     """The next instant at which the piece that starts at t must end at the latest."""
     to = min(t_end, t + MAX_STEP)
     if j + 1 < times.shape[0]:
         to = min(to, times[j + 1] + par[P.DELAY])
-    if g < grid.shape[0]:
-        to = min(to, (grid[g] - par[P.CLOCK_OFFSET]) * par[P.CLOCK_RATE])
+    if m < cuts.shape[0]:
+        to = min(to, cuts[m])
     if k < restarts.shape[0]:
         to = min(to, restarts[k, 0])
     if par[P.BUMP] != 0.0:
@@ -264,6 +302,7 @@ def rollout(
     times: Array,
     left: Array,
     right: Array,
+    cuts: Array,
     grid: Array,
     restarts: Array,
     t_end: float,
@@ -273,28 +312,29 @@ def rollout(
     """Drive and body from rest at t = 0 to t_end.
 
     par: packed parameters. times (C,): command stamps; left, right (C, 2): rim set-points [m/s] and their slopes to
-    the next. grid (G,): IMU window edges, in the IMU's stamps. restarts (K, 4): t, x, y, theta at which the pose is
-    set anew. Fills nodes (cap, NODE) and edges (G, EDGE); returns the number of nodes, or -1 if `nodes` is too short.
+    the next. cuts (M,): instants to cut at, whatever the parameters are. grid (G,): IMU window edges, in the IMU's
+    stamps. restarts (K, 4): t, x, y, theta at which the pose is set anew. Fills nodes (cap, NODE) and edges (G, EDGE);
+    returns the number of nodes, or -1 if `nodes` is too short.
     """
     state = np.zeros(NODE + 7)
     g = at_rest(par, grid, nodes, edges, state)
-    n, j, k = 2, -1, 0
+    n, j, k, m = 2, -1, 0, 0
     while state[T] < t_end - SAME:
-        if n + 4 > nodes.shape[0]:
-            return -1
         t = state[T]
-        while k < restarts.shape[0] and restarts[k, 0] <= t + SAME:
+        while k < restarts.shape[0] and restarts[k, 0] <= t + SAME and n < nodes.shape[0]:
             put_pose(state, restarts[k, 1], restarts[k, 2], restarts[k, 3], par)
             n = put_node(nodes, n, state)
             k += 1
-            if n + 4 > nodes.shape[0]:
-                return -1
+        if n + 2 > nodes.shape[0]:
+            return -1
         while j + 1 < times.shape[0] and times[j + 1] + par[P.DELAY] <= t + SAME:
             j += 1
-        to = target(par, t, t_end, times, j, grid, g, restarts, k)
-        since = t - par[P.DELAY]
-        n = piece(par, state, nodes, n, to, command(times, left, j, since), command(times, right, j, since))
-        while g < grid.shape[0] and (grid[g] - par[P.CLOCK_OFFSET]) * par[P.CLOCK_RATE] <= state[T] + SAME:
+        while m < cuts.shape[0] and cuts[m] <= t + SAME:
+            m += 1
+        to = target(par, t, t_end, times, j, cuts, m, restarts, k)
+        u, v = command(times, left, j, t - par[P.DELAY]), command(times, right, j, t - par[P.DELAY])
+        n, g = piece(par, state, nodes, n, to, u, v, grid, g, edges)
+        while g < grid.shape[0] and edge_at(par, grid, g) <= state[T] + SAME:
             put_edge(edges, g, state)
             g += 1
     return n

@@ -34,10 +34,12 @@ def prepare(run: Run, restarts: Array | None = None) -> Inputs:
         if len(known):
             warmth = np.nan_to_num(degrees - degrees[known[0]])
     anchor, anchors = beacon_table(run)
+    others = [log.t[-1:] for log in (run.wheels, run.beacon, run.ranges, run.truth) if log is not None]
     return Inputs(
         times=times,
         left=_with_slopes(times, left),
         right=_with_slopes(times, right),
+        cuts=np.unique(np.concatenate((grid, *others))),
         restarts=NO_RESTARTS if restarts is None else np.ascontiguousarray(restarts, dtype=np.float64),
         wheels=_stamps(run.wheels.t if run.wheels else NO_STAMPS),
         imu=_stamps(imu),
@@ -51,6 +53,11 @@ def prepare(run: Run, restarts: Array | None = None) -> Inputs:
         anchors=anchors,
         truth=_stamps(run.truth.t if run.truth else NO_STAMPS),
     )
+
+
+def with_drive(inputs: Inputs, times: Array, left: Array, right: Array) -> Inputs:
+    """The same with other rim set-points [m/s]."""
+    return inputs._replace(times=_stamps(times), left=_with_slopes(times, left), right=_with_slopes(times, right))
 
 
 def set_points(run: Run) -> tuple[Array, Array, Array]:

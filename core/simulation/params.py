@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from core.effects import check_effects, complete
+from core.effects import EFFECTS, check_effects, complete
 from core.errors import MissingStreamError, ParameterError
 from core.robot import EffectSet, Pose
 from core.run import RunMeta
@@ -85,6 +85,11 @@ DIRECT: dict[int, tuple[str, str]] = {
     OUTLIER_SIZE: ("beacon_outliers", "size"),
 }
 """Slots that hold one parameter of one effect as it is."""
+
+DRIVE_NEUTRAL = {
+    slot: float(EFFECTS[e].parameter(p).neutral) for slot, (e, p) in DIRECT.items() if DELAY <= slot <= V_MAX
+}
+"""Neutral values of the drive's slots."""
 
 
 def pack(meta: RunMeta, effects: EffectSet, *, start: Pose | None = None) -> Array:

@@ -69,30 +69,35 @@ def simulate_sets(inputs: Inputs, sets: Array, *, parallel: bool = True) -> tupl
 
     For fitting, where one run meets thousands of parameter sets: prepare once, change slots, call again.
     """
-    ends = np.array([_end(inputs, par) for par in sets])
-    rows = {
-        "wheels": ("left", "right"),
-        "imu": ("gz", "ax", "ay", "speed"),
-        "beacon": ("beacon_x", "beacon_y", "beacon_theta"),
-        "ranges": ("range",),
-        "truth": ("x", "y", "theta"),
-    }
-    columns = {
-        name: np.empty((len(sets), getattr(inputs, stream).shape[0]))
-        for stream, names in rows.items()
-        for name in names
-    }
-    out = Outputs(**columns)
+    ends = np.array([last_instant(inputs, par) for par in sets])
+    out = blank_outputs(inputs, len(sets))
     status = np.full(len(sets), -1, np.int64)
-    capacity = _capacity(inputs, float(ends.max(initial=0.0)))
+    room = capacity(inputs, float(ends.max(initial=0.0)))
     while len(sets) and (status < 0).any():
         if parallel and len(sets) > 1:
             with _BATCH_LOCK:
-                simulate_batch(sets, ends, inputs, capacity, out, status, min(get_num_threads(), len(sets)))
+                simulate_batch(sets, ends, inputs, room, out, status, min(get_num_threads(), len(sets)))
         else:
-            simulate_every(sets, ends, inputs, capacity, out, status, 0, 1)
-        capacity *= 2
+            simulate_every(sets, ends, inputs, room, out, status, 0, 1)
+        room *= 2
     return out, status
+
+
+COLUMNS = {
+    "wheels": ("left", "right"),
+    "imu": ("gz", "ax", "ay", "speed"),
+    "beacon": ("beacon_x", "beacon_y", "beacon_theta"),
+    "ranges": ("range",),
+    "truth": ("x", "y", "theta"),
+}
+"""Columns of `Outputs` by the stream whose stamps they are at."""
+
+
+def blank_outputs(inputs: Inputs, sets: int) -> Outputs:
+    """Unfilled readings for so many parameter sets."""
+    return Outputs(
+        **{name: np.empty((sets, len(getattr(inputs, stream)))) for stream, names in COLUMNS.items() for name in names}
+    )
 
 
 def require(run: Run, par: Array) -> None:
@@ -100,6 +105,12 @@ def require(run: Run, par: Array) -> None:
     if par[P.TEMPERATURE] != 0.0 and run.imu is not None and run.imu.temperature is None:
         raise MissingStreamError(
             "gyro_temperature needs the imu's temperature column", method="simulate", missing=["imu.temperature"]
+        )
+    if run.commands is None and any(par[slot] != neutral for slot, neutral in P.DRIVE_NEUTRAL.items()):
+        raise MissingStreamError(
+            "effects of the drive act on commands, which this run does not have",
+            method="simulate",
+            missing=["commands"],
         )
 
 
@@ -111,7 +122,7 @@ def warm() -> None:
     simulate(SCENARIOS["straight"].run(), {}, 0)
 
 
-def _end(inputs: Inputs, par: Array) -> float:
+def last_instant(inputs: Inputs, par: Array) -> float:
     """The last instant that any reading asks for [s]."""
     last = [float(t[-1]) for t in (inputs.wheels, inputs.beacon, inputs.ranges, inputs.truth) if len(t)]
     if len(inputs.grid):
@@ -119,9 +130,9 @@ def _end(inputs: Inputs, par: Array) -> float:
     return max([*last, 0.0])
 
 
-def _capacity(inputs: Inputs, end: float) -> int:
+def capacity(inputs: Inputs, end: float) -> int:
     """Nodes to make room for: one per piece, as many again for jumps and events; untouched memory costs nothing."""
-    pieces = end / MAX_STEP + len(inputs.times) + len(inputs.grid) + 2 * len(inputs.restarts)
+    pieces = end / MAX_STEP + len(inputs.times) + len(inputs.cuts) + 2 * len(inputs.restarts)
     return int(2.2 * pieces) + 1024
 
 
