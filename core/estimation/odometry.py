@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from core.estimation.assumptions import Assumptions, Config, assume, encoder_quantum
+from core.estimation.cleaning import filled, gyro_readings
 from core.estimation.rest import at_rest
 from core.estimation.result import Curve, Estimate
 from core.run import Run
@@ -33,8 +34,8 @@ class WheelPath:
 
 def wheel_path(wheels: WheelLog, radius: float, track: float | None) -> WheelPath:
     """Cumulative distance of the axle's midpoint and turn of the body, both 0 at the first stamp."""
-    left = radius * (np.asarray(wheels.left, np.float64) - float(wheels.left[0]))
-    right = radius * (np.asarray(wheels.right, np.float64) - float(wheels.right[0]))
+    left, right = filled(wheels.t, wheels.left, "wheels.left"), filled(wheels.t, wheels.right, "wheels.right")
+    left, right = radius * (left - left[0]), radius * (right - right[0])
     turn = (right - left) / track if track else np.full(len(wheels), np.nan)
     return WheelPath(wheels.t, (left + right) / 2, turn)
 
@@ -105,6 +106,7 @@ def encoders(run: Run, config: Config | None = None) -> Estimate:
     var_d, var_turn = step_noise(path, robot.track_width, numbers)
     covariance = growth(pose, var_d, var_turn, start_covariance(run, numbers))
     covariance += reading_noise(pose[:, 2], encoder_quantum(run, numbers) * robot.wheel_radius, robot.track_width)
+    covariance += geometry_error(pose, path.d, robot.track_width, numbers)
     return Estimate("encoders", Trajectory(path.t, pose[:, 0], pose[:, 1], pose[:, 2], covariance), notes=notes)
 
 
@@ -112,6 +114,26 @@ def step_noise(path: WheelPath, track: float, numbers: Assumptions) -> tuple[Arr
     """Variances (N - 1,) of each step's distance and turn from slip that differs between the wheels."""
     rolled = numbers.slip**2 * (np.abs(np.diff(path.d)) + track / 2 * np.abs(np.diff(path.turn)))
     return rolled / 2, 2 * rolled / track**2
+
+
+def geometry_error(pose: Array, d: Array, track: float | None, numbers: Assumptions) -> Array:
+    """(N, 3, 3) what errors of mean wheel radius, of their ratio and of track width do; they are the same all along."""
+    x, y = pose[:, 0] - pose[0, 0], pose[:, 1] - pose[0, 1]
+    scale = np.column_stack((x, y, np.zeros(len(x))))
+    P = numbers.distance_scale_sd**2 * scale[:, :, None] * scale[:, None, :]
+    if track:
+        for turned, sd in ((d / track, numbers.inequality_sd), (pose[:, 2] - pose[0, 2], numbers.track_scale_sd)):
+            swing = _swing(x, y, turned)
+            P += sd**2 * swing[:, :, None] * swing[:, None, :]
+    return P
+
+
+def _swing(x: Array, y: Array, turned: Array) -> Array:
+    """(N, 3) derivative of a path by a parameter that turns it by `turned` (N,) more at each place."""
+    middle = (turned[1:] + turned[:-1]) / 2
+    along_x = np.concatenate(([0.0], np.cumsum(-middle * np.diff(y))))
+    along_y = np.concatenate(([0.0], np.cumsum(middle * np.diff(x))))
+    return np.column_stack((along_x, along_y, turned))
 
 
 def reading_noise(theta: Array, quantum_m: float, track: float | None) -> Array:
@@ -146,11 +168,12 @@ def encoders_gyro(run: Run, config: Config | None = None) -> Estimate:
     P[3, 3], P[4, 4] = numbers.bias_sd**2, numbers.gyro_scale_sd**2
     pose, covariance, bias, bias_var = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty(n), np.empty(n)
     walk(
-        np.diff(imu.t, prepend=imu.t[0]), turns.step, distance, np.asarray(imu.gz, np.float64), rest.flags,
+        np.diff(imu.t, prepend=imu.t[0]), turns.step, distance, gyro_readings(imu)[1], rest.flags,
         turns.variance, numbers.slip**2 / 2 * np.abs(distance), numbers.bias_walk**2, rest.gyro_sd**2,
         chi2_gate(1, numbers), int(numbers.reaccept * imu.rate / 2), x, P, pose, covariance, bias, bias_var,
     )  # fmt: skip
     covariance += reading_noise(pose[:, 2], encoder_quantum(run, numbers) * robot.wheel_radius, None)
+    covariance += geometry_error(pose, np.cumsum(distance), None, numbers)
     if not rest.flags.any():
         notes = (*notes, f"The robot never rests: the gyro's bias stays 0 ± {numbers.bias_sd:.2g} rad/s.")
     return Estimate(
@@ -172,7 +195,7 @@ class GyroTurns:
 def gyro_turns(imu: ImuLog, numbers: Assumptions) -> GyroTurns:
     """Trapezoidal turns; over a pause of the gyro each end's rate holds for a few samples, and the rest is unknown."""
     dt = np.diff(imu.t, prepend=imu.t[0])
-    gz = np.asarray(imu.gz, np.float64)
+    _, gz = gyro_readings(imu)
     pause = pauses(dt)
     covered = np.where(pause, np.minimum(dt, 2 * longest_hold(dt)), dt)
     step = 0.5 * (gz + np.concatenate((gz[:1], gz[:-1]))) * covered

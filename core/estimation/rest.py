@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from core.estimation.assumptions import Assumptions
+from core.estimation.cleaning import gyro_readings
 from core.run import Run
 from core.sensors import CommandLog, ImuLog, WheelLog
 
@@ -71,7 +72,7 @@ def no_command(commands: CommandLog | None, t: Array, rest_time: float) -> Flags
 
 def _window(imu: ImuLog, rest_time: float) -> tuple[Array, Array, Flags]:
     """Mean and variance of gz over the last `rest_time` (MIN_WINDOW samples at least); whether the window is full."""
-    gz = np.asarray(imu.gz, np.float64)
+    gz = gyro_readings(imu)[1]
     centre = float(np.median(gz))
     sums = np.concatenate(([0.0], np.cumsum(gz - centre)))
     squares = np.concatenate(([0.0], np.cumsum((gz - centre) ** 2)))

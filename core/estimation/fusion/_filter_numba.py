@@ -59,7 +59,7 @@ class Constants(NamedTuple):
     patience_rest: float
 
 
-@njit
+@njit(error_model="numpy")
 def _predict(
     x: Any, P: Any, n: int, dt: float, raw: float, q_extra: float, resting: bool, silent: bool, c: Any
 ) -> None:
@@ -114,7 +114,7 @@ def _predict(
     _add_noise(x, P, dt, d, w, f, ux, uy, q_extra, resting, c)
 
 
-@njit
+@njit(error_model="numpy")
 def _wander(dt: float, f: float, tau: float) -> tuple[float, float, float]:
     """Variances, per unit density, of a speed after dt, of speed with distance, and of distance (Van Loan)."""
     if f == 1.0:
@@ -123,7 +123,7 @@ def _wander(dt: float, f: float, tau: float) -> tuple[float, float, float]:
     return k * (1.0 - f * f), k * tau * (1.0 - f) ** 2, k * tau * max(2.0 * dt - tau * (3.0 - 4.0 * f + f * f), 0.0)
 
 
-@njit
+@njit(error_model="numpy")
 def _add_noise(
     x: Any, P: Any, dt: float, d: float, w: float, f: float, ux: float, uy: float, q_extra: float, resting: bool, c: Any
 ) -> None:
@@ -136,24 +136,26 @@ def _add_noise(
         P[i, V] += e * c.q_speed * q_dv
         P[V, i] += e * c.q_speed * q_dv
     _add3(P, X, Y, S, -uy, ux, 0.0, c.q_side * along)
+    _add3(P, X, Y, S, ux, uy, 0.0, 0.5 * c.q_slip * along)  # v is the wheels' speed: it is the body that slips
+    slip_turn = 2.0 * c.q_slip * c.inverse_track * (along * c.inverse_track + 0.5 * abs(w))
     if c.has_gyro != 0.0:
         P[B, B] += c.q_bias * dt
+        P[PHI, PHI] += slip_turn  # the gyro has the body's turn: it is the wheels that slip
         q_turn = 0.0 if resting else c.q_gyro * dt + q_extra
     else:
         P[B, B] += c.q_turn * q_v
+        P[TH, TH] += slip_turn
         for i, e in ((TH, 1.0), (PHI, 1.0 + x[KB])):
             P[i, B] -= e * c.q_turn * q_dv
             P[B, i] -= e * c.q_turn * q_dv
         q_turn = c.q_turn * q_d
     _add3(P, TH, PHI, PHI, 1.0, 1.0 + x[KB], 0.0, q_turn)
-    P[S, S] += 0.5 * c.q_slip * along
-    P[PHI, PHI] += 2.0 * c.q_slip * c.inverse_track * (along * c.inverse_track + 0.5 * abs(w))
     for i in (KG, KD, KE, KB, KR, BR):
         if P[i, i] > 0.0:  # a parameter with no variance is frozen
             P[i, i] += c.q_scale * dt
 
 
-@njit
+@njit(error_model="numpy")
 def _add3(P: Any, i: int, j: int, k: int, a: float, b: float, e: float, q: float) -> None:
     """P += q g g' for g with a, b, e at i, j, k; k may equal j where e is 0."""
     P[i, i] += q * a * a
@@ -168,9 +170,9 @@ def _add3(P: Any, i: int, j: int, k: int, a: float, b: float, e: float, q: float
         P[k, j] += q * b * e
 
 
-@njit
-def _update(x: Any, P: Any, n: int, h: Any, nu: float, r: float, keep: Any, single: int, g: Any) -> float:
-    """Update by one scalar reading with row h, innovation nu, variance r; returns nu^2 / its variance.
+@njit(error_model="numpy")
+def _update(x: Any, P: Any, n: int, h: Any, nu: float, r: float, keep: Any, single: int, g: Any) -> Any:
+    """Update by one scalar reading with row h, innovation nu, variance r; returns nu^2 / its variance, and that.
 
     States with keep = 1 are considered, not corrected (Schmidt): their errors count, but this reading says nothing of
     them. `single` is the state read directly, else -1: its covariances follow exactly, where subtraction would cancel.
@@ -197,10 +199,10 @@ def _update(x: Any, P: Any, n: int, h: Any, nu: float, r: float, keep: Any, sing
         for i in range(n):
             P[i, single] = g[i] * r * inverse
             P[single, i] = P[i, single]
-    return nu * nu * inverse
+    return nu * nu * inverse, total
 
 
-@njit
+@njit(error_model="numpy")
 def _anchor(x: Any, P: Any, n: int, k: int, value: float, r: float) -> None:
     """Forget what was expected of state k: it is `value`, known to r, and related to nothing."""
     for i in range(n):
@@ -210,7 +212,7 @@ def _anchor(x: Any, P: Any, n: int, k: int, value: float, r: float) -> None:
     P[k, k] = r
 
 
-@njit
+@njit(error_model="numpy")
 def _gate_distance(x: Any, P: Any, n: int, z: float, since: float, jump: bool, c: Any) -> tuple[float, int]:
     """The wheels' cumulative distance. A surprise is a manoeuvre (the speed is doubted), a jump is no motion at all."""
     nu = z - x[S]
@@ -227,7 +229,7 @@ def _gate_distance(x: Any, P: Any, n: int, z: float, since: float, jump: bool, c
     return nis, REJECTED if jump or nis > c.gate1 else ACCEPTED
 
 
-@njit
+@njit(error_model="numpy")
 def _gate_turn(x: Any, P: Any, n: int, z: float, since: float, jump: bool, c: Any) -> tuple[float, int]:
     """The wheels' cumulative turn. With a gyro a surprise is slip and that interval is dropped; else a manoeuvre."""
     nu = z - x[PHI]
@@ -239,15 +241,17 @@ def _gate_turn(x: Any, P: Any, n: int, z: float, since: float, jump: bool, c: An
     return nis, REJECTED if jump or nis > c.gate1 else ACCEPTED
 
 
-@njit
+@njit(error_model="numpy")
 def _wrap(angle: float) -> float:
     return angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
 
 
-@njit
+@njit(error_model="numpy")
 def _rows(kind: int, a: Any, x: Any, resting: bool, c: Any, H: Any, nu: Any, r: Any) -> int:
     """Rows H (3, 13), innovations nu (3,) and variances r (3,) of an event's scalar readings; how many there are."""
-    H[:, :] = 0.0
+    for i in range(3):
+        for j in range(N):
+            H[i, j] = 0.0
     if kind == WHEEL:
         H[0, S], nu[0], r[0] = 1.0, a[0] - x[S], c.r_distance
         if math.isnan(a[1]):
@@ -278,7 +282,20 @@ def _rows(kind: int, a: Any, x: Any, resting: bool, c: Any, H: Any, nu: Any, r: 
     return 1
 
 
-@njit
+@njit(error_model="numpy")
+def _copy_row(a: Any, b: Any) -> None:
+    for i in range(N):  # b[:] = a would compile its error message too, for seconds
+        b[i] = a[i]
+
+
+@njit(error_model="numpy")
+def _copy(A: Any, C: Any) -> None:
+    for i in range(N):
+        for j in range(N):
+            C[i, j] = A[i, j]
+
+
+@njit(error_model="numpy")
 def _doubt(P: Any, kind: int, count: int, nu: Any) -> None:
     """After many rejections the filter doubts its own pose: wide enough to take the reading."""
     if kind == FIX:
@@ -292,22 +309,22 @@ def _doubt(P: Any, kind: int, count: int, nu: Any) -> None:
     P[TH, TH] += heading * heading
 
 
-@njit
+@njit(error_model="numpy")
 def _measure(
     kind: int, a: Any, x: Any, P: Any, n: int, resting: bool, refused: Any, c: Any, keep: Any, work: Any, P_old: Any
-) -> tuple[float, int]:
+) -> tuple[float, float, int]:
     """One event's readings, in turn; fixes and ranges go through their joint gate, or are taken back.
 
     Readings of one event are of one prediction: what an earlier one has already moved is taken out, linearly.
     """
     H, nu, r, g, x_old = work[0:3], work[3], work[4], work[5], work[6]
-    first, gate, absolute = 0.0, c.gate1, kind >= FIX and kind <= RANGE
+    first, log_variance, gate, absolute = 0.0, 0.0, c.gate1, kind >= FIX and kind <= RANGE
     for attempt in range(2):
         count = _rows(kind, a, x, resting, c, H, nu, r)
-        x_old[:] = x
         if absolute:
-            P_old[:] = P
-        total = 0.0
+            _copy(P, P_old)
+        _copy_row(x, x_old)
+        total, spread = 0.0, 0.0
         for m in range(count):
             moved = 0.0
             for j in range(n):
@@ -316,24 +333,26 @@ def _measure(
             which = 0
             if kind == WHEEL:
                 single, which = (S, 1) if m == 0 else (PHI, 2)
-            total += _update(x, P, n, H[m], nu[m] - moved, r[m], keep[which], single, g)
+            square, variance = _update(x, P, n, H[m], nu[m] - moved, r[m], keep[which], single, g)
+            total += square
+            spread += math.log(variance)
         if attempt == 0:
-            first = total
+            first, log_variance = total, spread
             gate = c.gate1 if count == 1 else (c.gate2 if count == 2 else c.gate3)
         if not absolute or attempt == 1 or total <= gate:
             break
-        x[:] = x_old
-        P[:] = P_old
+        _copy_row(x_old, x)
+        _copy(P_old, P)
         refused[kind] += 1
         if refused[kind] <= c.patience:
-            return first, REJECTED
+            return first, log_variance, REJECTED
         _doubt(P, kind, count, nu)
     if absolute:
         refused[kind] = 0
-    return first, ACCEPTED if first <= gate else REJECTED
+    return first, log_variance, ACCEPTED if first <= gate else REJECTED
 
 
-@njit
+@njit(error_model="numpy")
 def _at_rest(x: Any, P: Any, gz: float, refused: Any, c: Any) -> bool:
     """Whether the gyro's reading can be its bias; one that stays different for long becomes the bias."""
     nu = gz - x[B]
@@ -346,22 +365,22 @@ def _at_rest(x: Any, P: Any, gz: float, refused: Any, c: Any) -> bool:
     return True
 
 
-@njit
+@njit(error_model="numpy")
 def _considered(c: Any) -> Any:
     """(3, 13) states that a reading must leave alone: none; all but the motion along, for the wheels' distance; without
     a gyro all but the turning, for the wheels' turn. Speed and turn rate are free there, so scales cannot be seen."""
     keep = np.zeros((3, N))
-    keep[1, :] = 1.0
+    for i in range(N):
+        keep[1, i] = 1.0
+        keep[2, i] = 0.0 if c.has_gyro != 0.0 else 1.0
     for i in (X, Y, V, S):
         keep[1, i] = 0.0
-    if c.has_gyro == 0.0:
-        keep[2, :] = 1.0
-        for i in (X, Y, TH, B, PHI):
-            keep[2, i] = 0.0
+    for i in (X, Y, TH, B, PHI):
+        keep[2, i] = 0.0
     return keep
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def run_filter(
     n: int, dt: Any, kind: Any, data: Any, raw: Any, q_extra: Any, flags: Any, x: Any, P: Any, c: Any,
     nis: Any, status: Any, pose: Any, covariance: Any, bias: Any, bias_var: Any,
@@ -369,7 +388,7 @@ def run_filter(
     """Walk over E events. In: n states in use; per event dt [s] since the one before, kind, data (E, 4), the gyro's raw
     turn [rad], extra turn variance, flags (E, 3) of rest, counter jump and silent wheels; x (13,) and P (13, 13),
     changed in place to the last state. Out: nis, status (E, 2); a row of pose (M, 3), covariance (M, 3, 3), bias,
-    bias_var (M,) per OUT event.
+    bias_var (M,) per OUT event. nis: WHEEL distance, turn; FIX, RANGE joint value, log of the innovation's determinant.
 
     data: WHEEL distance, turn (NaN: unknown), time since the last reading; FIX x, y, theta or NaN; RANGE beacon x, y, z
     and range; OUT gyro reading.
@@ -394,7 +413,7 @@ def run_filter(
                 nis[e, 1], status[e, 1] = _gate_turn(x, P, n, a[1], a[2], flags[e, 1], c)
             _measure(kind[e], a, x, P, n, resting, refused, c, keep, work, P_old)
         elif kind[e] != OUT:
-            nis[e, 0], status[e, 0] = _measure(kind[e], a, x, P, n, resting, refused, c, keep, work, P_old)
+            nis[e, 0], nis[e, 1], status[e, 0] = _measure(kind[e], a, x, P, n, resting, refused, c, keep, work, P_old)
         else:
             _measure(kind[e], a, x, P, n, resting, refused, c, keep, work, P_old)
             for i in range(3):

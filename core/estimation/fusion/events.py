@@ -27,9 +27,9 @@ FARTHEST = 1e6  # m: a fix or range beyond it is no reading
 
 @dataclass(frozen=True)
 class Events:
-    """E events: t [s], kind, data (E, 4), raw gyro turn [rad], extra variance of the turn [rad^2], flags (E, 3) of rest,
-    of a counter's jump and of silent wheels, as `_filter_numba.run_filter` takes them; `out` (M,) stamps of the rows
-    to come; notes on readings left out."""
+    """E events: t [s], kind, data (E, 4), raw gyro turn [rad], extra variance of the turn [rad^2], flags (E, 3) of
+    rest, of a counter's jump and of silent wheels, as `_filter_numba.run_filter` takes them; `out` (M,) stamps of the
+    rows to come; notes on readings left out."""
 
     t: Array
     kind: npt.NDArray[np.int64]

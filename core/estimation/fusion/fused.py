@@ -8,13 +8,12 @@ held and the gyro reads its own bias. A noise level that nobody gave is learnt f
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import numpy.typing as npt
 
 from core.estimation.assumptions import Assumptions, Config, assume, encoder_quantum
 from core.estimation.fusion.events import FIX, RANGE, WHEEL, Events, merge
+from core.estimation.fusion.noise import Walk, learn
 from core.estimation.fusion.start import Start, find_start
 from core.estimation.odometry import chi2_gate
 from core.estimation.rest import Rest, at_rest
@@ -24,11 +23,8 @@ from core.trajectory import Trajectory
 
 Array = npt.NDArray[np.float64]
 
-PASSES = 4  # over the run, where a noise level has to be learnt
-MEDIAN_CHI2 = {1: 0.4549, 2: 1.3863, 3: 2.3660}
 LOSS_FACTOR, LOSS_FLOOR = 5.0, 1.0  # a beacon is lost after this many typical steps, and this many seconds at least
 
-ENOUGH_TO_LEARN = 50  # readings
 START_SPEED, START_TURN = 0.5, 0.5  # m/s, rad/s: sd of both before the first wheel reading
 STILL_SPEED = 1e-3  # m/s, how still rest is
 WORDS = {FIX: "fixes", RANGE: "ranges"}
@@ -39,20 +35,6 @@ PARAMETERS = {
 }  # fmt: skip
 
 
-@dataclasses.dataclass(frozen=True)
-class Walk:
-    """What the filter left behind: per event nis and status (E, 2), per row the pose and its covariance, last state."""
-
-    nis: Array
-    status: npt.NDArray[np.int8]
-    pose: Array
-    covariance: Array
-    bias: Array
-    bias_var: Array
-    x: Array
-    P: Array
-
-
 def fused(run: Run, config: Config | None = None) -> Estimate:
     """Causal path with covariance, gyro bias, parameters and innovations; one pose per IMU stamp (else wheel stamp)."""
     numbers, notes = assume(run, config)
@@ -60,7 +42,8 @@ def fused(run: Run, config: Config | None = None) -> Estimate:
     events = merge(run, numbers, rest)
     start = find_start(run, events, numbers, lambda: _dead_reckon(run, events, numbers, rest))
     events = start.without_used(events)
-    walk, numbers, learnt = _walk_until_noise_is_known(run, events, start, numbers, rest, config or {})
+    numbers, learnt = learn(run, events, numbers, config or {}, lambda e, n: _walk(run, e, start, n, rest))
+    walk = _walk(run, events, start, numbers, rest)
     t, pose = events.out, walk.pose
     return Estimate(
         "fused",
@@ -95,46 +78,6 @@ def _dead_reckon(run: Run, events: Events, numbers: Assumptions, rest: Rest | No
     alone = Start(np.zeros(3), np.zeros((3, 3)), np.flatnonzero((events.kind == FIX) | (events.kind == RANGE)))
     walk = _walk(run, alone.without_used(events), alone, numbers, rest)
     return Trajectory(events.out, walk.pose[:, 0], walk.pose[:, 1], walk.pose[:, 2])
-
-
-def _walk_until_noise_is_known(
-    run: Run, events: Events, start: Start, numbers: Assumptions, rest: Rest | None, config: Config
-) -> tuple[Walk, Assumptions, tuple[str, ...]]:
-    """One walk where fixes and ranges have a stated noise; else a few, each with the noise its innovations ask for."""
-    sheet = run.meta.noise
-    unknown = [
-        (kind, names)
-        for kind, names, stated in (
-            (FIX, ("fix_xy", "fix_theta"), sheet.beacon_xy or "fix_xy" in config),
-            (RANGE, ("range",), sheet.range or "range" in config),
-        )
-        if not stated and np.sum(events.kind == kind) >= ENOUGH_TO_LEARN
-    ]
-    walk = _walk(run, events, start, numbers, rest)
-    for _ in range(PASSES if unknown else 0):
-        factors = {names: _noise_factor(events, walk, kind) for kind, names in unknown}
-        if all(0.9 < factor < 1.1 for factor in factors.values()):
-            break
-        scaled = {name: getattr(numbers, name) * f for names, f in factors.items() for name in names}
-        numbers = dataclasses.replace(numbers, **scaled)
-        walk = _walk(run, events, start, numbers, rest)
-    notes = tuple(
-        f"Noise of {WORDS[kind]} learnt from this run's own innovations: {getattr(numbers, names[0]):.2g} m."
-        for kind, names in unknown
-    )
-    return walk, numbers, notes
-
-
-def _noise_factor(events: Events, walk: Walk, kind: int) -> float:
-    """By how much the sd of a sensor must grow for its median innovation to be what it claims."""
-    rows = (events.kind == kind) & (walk.status[:, 0] > 0)
-    headed = (events.kind == FIX) & np.isfinite(events.data[:, 2])
-    medians = [
-        float(np.median(walk.nis[mine, 0])) / MEDIAN_CHI2[dof]
-        for mine, dof in ((rows & headed, 3), (rows & ~headed, 2 if kind == FIX else 1))
-        if mine.any()
-    ]
-    return float(np.clip(np.sqrt(np.mean(medians)), 0.1, 10.0)) if medians else 1.0
 
 
 def _priors(run: Run, events: Events, numbers: Assumptions, rest: Rest | None) -> Array:

@@ -1,0 +1,126 @@
+"""Noise that nobody stated, learnt from the run's own innovations: what the filter was surprised by, it did not know.
+
+The sd of fixes or ranges, where the data sheet is silent, is scaled until the median innovation is what it claims to be
+(the median, so that outliers do not count). Slip is the one of a few levels under which fixes and ranges are most
+likely. Both are constants of the run, found from its leading stretch; the path itself stays causal.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from core.estimation.assumptions import Assumptions, Config
+from core.estimation.fusion.events import FIX, OUT, RANGE, Events
+from core.run import Run
+
+Array = npt.NDArray[np.float64]
+
+ENOUGH = 50  # readings to learn from
+LEADING = 100_000  # events that are looked at
+PASSES = 4  # for the sd of fixes and ranges
+SLIP_STEP, SLIP_STEPS = 2.0, 3  # levels of slip are this far apart, this many each way
+CLEARLY = 2.0  # log likelihood that a change must gain
+OUTLIER = 16.0  # a normalised innovation squared counts no more than this
+MEDIAN_CHI2 = {1: 0.4549, 2: 1.3863, 3: 2.3660}
+
+
+@dataclass(frozen=True)
+class Walk:
+    """What the filter left behind: per event nis and status (E, 2), per row the pose and its covariance, last state."""
+
+    nis: Array
+    status: npt.NDArray[np.int8]
+    pose: Array
+    covariance: Array
+    bias: Array
+    bias_var: Array
+    x: Array
+    P: Array
+
+
+Walker = Callable[[Events, Assumptions], Walk]
+
+
+def learn(
+    run: Run, events: Events, numbers: Assumptions, config: Config, walk: Walker
+) -> tuple[Assumptions, tuple[str, ...]]:
+    """The numbers with learnt noise in place of assumed noise, and notes that say which."""
+    absolute = int(np.sum((events.kind == FIX) | (events.kind == RANGE)))
+    if absolute < ENOUGH:
+        return numbers, ()
+    leading = _leading(events)
+    numbers, notes = _readings(run, leading, numbers, config, walk)
+    if "slip" not in config:
+        numbers, more = _slip(leading, numbers, walk)
+        notes += more
+    return numbers, notes
+
+
+def _leading(events: Events) -> Events:
+    k = LEADING
+    parts = {name: getattr(events, name)[:k] for name in ("t", "kind", "data", "raw", "q_extra", "flags")}
+    return dataclasses.replace(events, **parts, out=events.out[: int(np.sum(events.kind[:k] == OUT))])
+
+
+def _readings(
+    run: Run, events: Events, numbers: Assumptions, config: Config, walk: Walker
+) -> tuple[Assumptions, tuple[str, ...]]:
+    sheet = run.meta.noise
+    sensors = (
+        (FIX, "fixes", ("fix_xy", "fix_theta"), sheet.beacon_xy or "fix_xy" in config),
+        (RANGE, "ranges", ("range",), sheet.range or "range" in config),
+    )
+    unknown = [s for s in sensors if not s[3] and np.sum(events.kind == s[0]) >= ENOUGH]
+    for _ in range(PASSES if unknown else 0):
+        walked = walk(events, numbers)
+        factors = {names: _factor(events, walked, kind) for kind, _, names, _ in unknown}
+        scaled = {name: getattr(numbers, name) * f for names, f in factors.items() for name in names}
+        numbers = dataclasses.replace(numbers, **scaled)
+        if all(0.9 < factor < 1.1 for factor in factors.values()):
+            break
+    notes = [
+        f"Noise of {word} learnt from this run: {getattr(numbers, names[0]):.2g} m." for _, word, names, _ in unknown
+    ]
+    return numbers, tuple(notes)
+
+
+def _factor(events: Events, walked: Walk, kind: int) -> float:
+    """By how much the sd of a sensor must grow for its median innovation to be what it claims."""
+    rows = (events.kind == kind) & (walked.status[:, 0] > 0)
+    headed = (events.kind == FIX) & np.isfinite(events.data[:, 2])
+    medians = [
+        float(np.median(walked.nis[mine, 0])) / MEDIAN_CHI2[dof]
+        for mine, dof in ((rows & headed, 3), (rows & ~headed, 2 if kind == FIX else 1))
+        if mine.any()
+    ]
+    return float(np.clip(np.sqrt(np.mean(medians)), 0.1, 10.0)) if medians else 1.0
+
+
+def _slip(events: Events, numbers: Assumptions, walk: Walker) -> tuple[Assumptions, tuple[str, ...]]:
+    """Climb from the assumed slip, up or down by SLIP_STEP, while the innovations become clearly more likely."""
+    best, likelihood = numbers, _log_likelihood(events, walk(events, numbers))
+    for step in (SLIP_STEP, 1 / SLIP_STEP):
+        for _ in range(SLIP_STEPS):
+            tried = dataclasses.replace(best, slip=best.slip * step, side_slip=best.side_slip * step)
+            value = _log_likelihood(events, walk(events, tried))
+            if value < likelihood + CLEARLY:
+                break
+            best, likelihood = tried, value
+        if best is not numbers:
+            break
+    if best is numbers:
+        return numbers, ()
+    return best, (
+        f"Slip learnt from this run: {best.slip:.2g} m after one metre (assumed at first: {numbers.slip:.2g}).",
+    )
+
+
+def _log_likelihood(events: Events, walked: Walk) -> float:
+    """Of fixes and ranges, each counted at most as bad as a clear outlier."""
+    rows = ((events.kind == FIX) | (events.kind == RANGE)) & (walked.status[:, 0] > 0)
+    return -0.5 * float(np.sum(np.minimum(walked.nis[rows, 0], OUTLIER) + walked.nis[rows, 1]))
