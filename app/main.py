@@ -17,10 +17,13 @@ from app.api import jobs as job_api
 from app.db.migrate import migrate
 from app.db.session import make_engine
 from app.pages import PAGES
+from app.scene import api as scene_api
+from app.scene import proxy, source
 from app.security import Guard
 from app.settings import Settings
 
 API_ROUTERS: tuple[APIRouter, ...] = (  # under /api/v1
+    scene_api.router,  # before files: it knows one more of them
     runs.router,
     uploads.router,
     streams.router,
@@ -29,9 +32,13 @@ API_ROUTERS: tuple[APIRouter, ...] = (  # under /api/v1
     estimates.router,
     job_api.router,
 )
-PAGE_ROUTERS: tuple[APIRouter, ...] = (login.router, *PAGES.values())  # at the root
+PAGE_ROUTERS: tuple[APIRouter, ...] = (login.router, proxy.router, *PAGES.values())  # at the root
 # What runs beside the server, entered in this order at its start and left in the reverse order at its end.
-SERVICES: tuple[Callable[[FastAPI], AbstractAsyncContextManager[None]], ...] = (jobs.service, housekeeping.service)
+SERVICES: tuple[Callable[[FastAPI], AbstractAsyncContextManager[None]], ...] = (
+    jobs.service,
+    housekeeping.service,
+    source.service,
+)
 
 NOT_COMPRESSED = (*DEFAULT_EXCLUDED_CONTENT_TYPES, "application/vnd.apache.arrow.stream", "application/octet-stream")
 
