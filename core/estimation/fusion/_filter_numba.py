@@ -171,35 +171,51 @@ def _add3(P: Any, i: int, j: int, k: int, a: float, b: float, e: float, q: float
 
 
 @njit(error_model="numpy")
-def _update(x: Any, P: Any, n: int, h: Any, nu: float, r: float, keep: Any, single: int, g: Any) -> Any:
+def _update(
+    x: Any, P: Any, n: int, h: Any, nu: float, r: float, keep: Any, single: int, a: int, b: int, work: Any
+) -> Any:
     """Update by one scalar reading with row h, innovation nu, variance r; returns nu^2 / its variance, and that.
 
-    States with keep = 1 are considered, not corrected (Schmidt): their errors count, but this reading says nothing of
-    them. `single` is the state read directly, else -1: its covariances follow exactly, where subtraction would cancel.
+    States with keep = 1 are considered, not corrected (Schmidt), and the gain is that for known states a and b (-1:
+    none): wheels alone cannot tell a wrong scale from another speed, nor may they correct, through a scale's long
+    memory, what was driven before. `single` is the state read directly, else -1: where subtraction would cancel, its
+    covariances are computed without. Covariance by Joseph's form, right for any gain.
     """
-    total = r
+    g, gain, second = work[5], work[7], work[8]
     for i in range(n):
         g[i] = 0.0
     for j in range(n):
         if h[j] != 0.0:
             for i in range(n):
                 g[i] += P[i, j] * h[j]
-    for j in range(n):
-        total += h[j] * g[j]
-    inverse = 1.0 / total
     for i in range(n):
-        corrected = 1.0 - keep[i]
-        x[i] += corrected * g[i] * inverse * nu
-        kept = keep[i] * g[i] * inverse
+        gain[i] = g[i]
+        second[i] = P[i, b]
+    if a >= 0 and P[a, a] > 0.0:
+        for i in range(n):
+            gain[i] -= P[i, a] * (g[a] / P[a, a])
+            second[i] -= P[i, a] * (P[a, b] / P[a, a])
+    if b >= 0 and second[b] > 0.0:
+        ratio = gain[b] / second[b]
+        for i in range(n):
+            gain[i] -= second[i] * ratio
+    variance, known = r, r
+    for j in range(n):
+        variance += h[j] * g[j]
+        known += h[j] * gain[j]
+    for i in range(n):
+        gain[i] *= (1.0 - keep[i]) / known
+        x[i] += gain[i] * nu
+    for i in range(n):
         for j in range(n):
-            P[i, j] -= g[i] * g[j] * inverse - kept * (keep[j] * g[j])
+            P[i, j] -= gain[i] * g[j] + g[i] * gain[j] - variance * (gain[i] * gain[j])
         if P[i, i] < 0.0:
             P[i, i] = 0.0
     if single >= 0:
         for i in range(n):
-            P[i, single] = g[i] * r * inverse
+            P[i, single] = (g[i] - gain[i] * g[single]) * (r / known) + gain[i] * (r * gain[single])
             P[single, i] = P[i, single]
-    return nu * nu * inverse, total
+    return nu * nu / variance, variance
 
 
 @njit(error_model="numpy")
@@ -317,7 +333,7 @@ def _measure(
 
     Readings of one event are of one prediction: what an earlier one has already moved is taken out, linearly.
     """
-    H, nu, r, g, x_old = work[0:3], work[3], work[4], work[5], work[6]
+    H, nu, r, x_old = work[0:3], work[3], work[4], work[6]
     first, log_variance, gate, absolute = 0.0, 0.0, c.gate1, kind >= FIX and kind <= RANGE
     for attempt in range(2):
         count = _rows(kind, a, x, resting, c, H, nu, r)
@@ -329,11 +345,14 @@ def _measure(
             moved = 0.0
             for j in range(n):
                 moved += H[m, j] * (x[j] - x_old[j])
-            single = -1
-            which = 0
-            if kind == WHEEL:
-                single, which = (S, 1) if m == 0 else (PHI, 2)
-            square, variance = _update(x, P, n, H[m], nu[m] - moved, r[m], keep[which], single, g)
+            single, which, known_a, known_b = -1, 0, -1, -1
+            if kind == WHEEL and m == 0:
+                single, which, known_a = S, 1, KD
+            elif kind == WHEEL:
+                single, which = PHI, 2
+                if c.has_gyro == 0.0:
+                    known_a, known_b = KB, KE
+            square, variance = _update(x, P, n, H[m], nu[m] - moved, r[m], keep[which], single, known_a, known_b, work)
             total += square
             spread += math.log(variance)
         if attempt == 0:
@@ -393,7 +412,7 @@ def run_filter(
     data: WHEEL distance, turn (NaN: unknown), time since the last reading; FIX x, y, theta or NaN; RANGE beacon x, y, z
     and range; OUT gyro reading.
     """
-    work, P_old, refused, keep = np.zeros((7, N)), np.zeros((N, N)), np.zeros(4), _considered(c)
+    work, P_old, refused, keep = np.zeros((9, N)), np.zeros((N, N)), np.zeros(4), _considered(c)
     row, started, resting = 0, False, False
     for e in range(dt.shape[0]):
         a = data[e]
