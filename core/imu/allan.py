@@ -94,8 +94,8 @@ def allan_of(
     if not kept.any():
         raise NotEnoughDataError("gaps leave no stretch that is long enough for any averaging time")
     factors, sums, pairs = factors[kept], sums[kept], pairs[kept]
-    variance = np.asarray(sums / (pairs * (2.0 if order == 2 else 6.0)), np.float64)
-    tau: Floats = factors * record.tau0
+    variance = np.asarray(sums / (pairs * (2.0 if order == 2 else 6.0)), dtype=np.float64)
+    tau = np.asarray(factors * record.tau0, dtype=np.float64)
     alpha = noise_type(tau, variance, record.duration)
     edf = np.array(
         [degrees_of_freedom(int(a), int(m), int(p), order) for a, m, p in zip(alpha, factors, pairs, strict=True)]
