@@ -42,6 +42,7 @@ class Limits:
     max_header_bytes: int = 64 * KIB
     max_line_bytes: int = MIB
     max_footer_bytes: int = 16 * MIB  # of a parquet file
+    max_decode_bytes: int = 2 * GIB  # memory to decode a parquet file's batches in
     max_json_bytes: int = 4 * MIB
     max_json_depth: int = 32
     max_names: int = 4096  # different beacon names in one stream

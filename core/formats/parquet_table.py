@@ -11,6 +11,7 @@ import polars as pl
 from core.errors import TooLargeError
 from core.formats.base import ENGINE_ERRORS, Format, Limits, Opening, RunSource
 from core.formats.checks import refuse, shown
+from core.formats.parquet_trial import refusal
 from core.formats.single import open_single
 
 MAGIC = b"PAR1"
@@ -24,6 +25,9 @@ class ParquetTable:
     def __init__(self, path: Path, file: str, limits: Limits, stream: str | None = None) -> None:
         self.path, self.file, self.limits = path, file, limits
         self._check_footer(stream)
+        reason = refusal(path, limits.max_decode_bytes)
+        if reason is not None:
+            self._refuse(reason, stream)
         try:
             self.schema = pl.read_parquet_schema(path)
         except ENGINE_ERRORS as error:
@@ -105,14 +109,12 @@ class ParquetTable:
             )
 
     def _broken(self, error: BaseException, stream: str | None) -> NoReturn:
-        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
-        refuse(
-            self.file,
-            f"the parquet file is damaged: {shown(reason, 200)}",
-            stream=stream,
-            expected="a readable parquet file",
-            found=shown(reason, 200),
-        )
+        self._refuse((str(error).strip() or type(error).__name__).splitlines()[0], stream)
+
+    def _refuse(self, reason: str, stream: str | None) -> NoReturn:
+        found = shown(reason, 200)
+        what = f"the parquet file is damaged: {found}"
+        refuse(self.file, what, stream=stream, expected="a readable parquet file", found=found)
 
 
 def open_parquet(path: Path, opening: Opening) -> RunSource:

@@ -6,6 +6,7 @@ that its directory claims.
 
 from __future__ import annotations
 
+import errno
 import stat
 import tempfile
 import zipfile
@@ -50,8 +51,8 @@ def _unpack(path: Path, folder: Path, label: str, limits: Limits) -> tuple[dict[
     except FormatError:
         raise
     except (*BROKEN, OSError) as error:
-        if isinstance(error, OSError) and error.errno:  # the machine's trouble (disk full), not the file's
-            raise
+        if isinstance(error, OSError) and error.errno not in (None, errno.EINVAL):
+            raise  # the machine's trouble (a full disk), not the file's; EINVAL is a seek to a place that cannot be
         reason = shown((str(error) or type(error).__name__).splitlines()[0], 200)
         refuse(label, f"the archive is damaged: {reason}", expected="a sound zip archive", found=reason)
 
