@@ -69,7 +69,7 @@ def changed(path: str, value: object) -> dict[str, Any]:
     place: Any = data
     for parent in parents:
         place = place[int(parent)] if isinstance(place, list) else place.setdefault(parent, {})
-    place[key] = value
+    place[int(key) if isinstance(place, list) else key] = value
     return data
 
 
@@ -143,9 +143,10 @@ def test_a_byte_order_mark_is_harmless() -> None:
     assert parse_json(b'\xef\xbb\xbf{"a": "\xc2\xb5"}', "run.json") == {"a": "µ"}
 
 
-@pytest.mark.parametrize(
-    "deep", [b"[" * 100_000 + b"]" * 100_000, b"[" * 40 + b"]" * 40, b'{"a":' * 40 + b"1" + b"}" * 40]
-)
+DEEP = (b"[" * 100_000 + b"]" * 100_000, b"[" * 40 + b"]" * 40, b'{"a":' * 40 + b"1" + b"}" * 40)
+
+
+@pytest.mark.parametrize("deep", DEEP)
 def test_deep_json_is_refused(deep: bytes) -> None:
     with pytest.raises(TooLargeError, match="levels"):
         parse_json(b'{"a": ' + deep + b"}", "run.json")
