@@ -11,7 +11,7 @@ from starlette.middleware import Middleware
 from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 from starlette.staticfiles import StaticFiles
 
-from app import errors, housekeeping, jobs, login, openapi, paths
+from app import errors, examples, housekeeping, jobs, login, openapi, paths
 from app.api import estimates, files, mappings, runs, streams, uploads
 from app.api import jobs as job_api
 from app.db.migrate import migrate
@@ -37,6 +37,7 @@ PAGE_ROUTERS: tuple[APIRouter, ...] = (login.router, proxy.router, *PAGES.values
 SERVICES: tuple[Callable[[FastAPI], AbstractAsyncContextManager[None]], ...] = (
     jobs.service,
     housekeeping.service,
+    examples.service,
     source.service,
 )
 
