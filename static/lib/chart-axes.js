@@ -7,6 +7,14 @@ const TIMES = [...DECADES.filter((d) => d <= 10), 15, 30, 60, 120, 300, 600, 900
 export const valueIncrements = DECADES;
 export const timeIncrements = TIMES;
 
+const formats = new Map();
+
+// Intl formats are slow to make and quick to use.
+function fixed(value, digits) {
+  if (!formats.has(digits)) formats.set(digits, new Intl.NumberFormat("en", { minimumFractionDigits: digits, maximumFractionDigits: digits }));
+  return formats.get(digits).format(value);
+}
+
 export function decimals(step) {
   return step >= 1 || !(step > 0) ? 0 : Math.min(9, Math.ceil(-Math.log10(step) - 1e-9));
 }
@@ -14,8 +22,7 @@ export function decimals(step) {
 export function tick(value, step) {
   if (Math.abs(value) < step * 1e-6) return "0";
   if (Math.abs(value) >= 1e6 || step < 1e-6) return value.toExponential(1).replace("-", "−").replace("e+", "e");
-  const digits = decimals(step);
-  return value.toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits }).replace("-", "−");
+  return fixed(value, decimals(step)).replace("-", "−");
 }
 
 // 4 significant digits: what a legend shows.

@@ -106,6 +106,7 @@ export function createMap(host, { clock, subject = "", fileName = "path" }) {
     if (all) paintOn(prepare(base), paintBase);
     paintOn(prepare(top), paintTop);
     root.dataset.view = [view.x, view.y, view.scale].map((v) => v.toPrecision(6)).join(",");
+    root.dataset.shown = map.shown.map((p) => p.method).join(" ");
     root.dataset.time = String(clock.hover ?? clock.time);
   }
 

@@ -42,7 +42,7 @@ export function mountSignals(host, context) {
         charts.push(chart);
       }
     },
-    { rootMargin: "240px" },
+    { root: host.closest("main"), rootMargin: "300px" },
   );
 
   run.streams.forEach((stream) => {
