@@ -140,14 +140,13 @@ class RunSource:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a user should read: unknown keys, ignored files; after reading, beacons that run.json does not list."""
-        beacons = self.meta.beacons
-        unknown = [
-            f"{s.table.file}: beacon {name!r} is not listed in run.json; its distances cannot be used"
-            for s in self.sources
-            for name in s.names
-            if name not in beacons
-        ]
-        return (*self.found, *unknown)
+        told = []
+        for source in self.sources:
+            unknown = [name for name in source.names if name not in self.meta.beacons]
+            if unknown:
+                shown = ", ".join(map(repr, unknown[:10])) + ", ..." * (len(unknown) > 10)
+                told.append(f"{source.table.file}: not listed in run.json, so their distances cannot be used: {shown}")
+        return (*self.found, *told)
 
     def close(self) -> None:
         """Remove temporary files."""

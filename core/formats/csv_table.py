@@ -34,9 +34,11 @@ class CsvTable:
     def __init__(self, path: Path, file: str, limits: Limits, stream: str | None = None) -> None:
         self.path, self.file, self.limits = path, file, limits
         self.names = self._read_header(stream)
-        self._check_lines(stream)
         self._shape_is_sound = False
         self._numbers: tuple[str, ...] = ()
+        self._has_quotes = self._check_lines(stream)
+        if self._has_quotes:  # a quote that never ends would make the engine hold the rest of the file
+            self.check_shape(stream)
 
     def dtypes(self) -> Mapping[str, pl.DataType]:
         """Float64 where the first rows hold numbers, else String."""
@@ -68,20 +70,24 @@ class CsvTable:
             return
         line = pl.col("line")
         unclosed = pl.lit(False)
-        if self._holds(b'"'):  # commas between quotes separate nothing
+        if self._has_quotes:  # commas between quotes separate nothing
             unclosed = line.str.count_matches('"', literal=True) % 2 == 1
             line = line.str.replace_all('"[^"]*"', "")
         fields = line.str.count_matches(",", literal=True) + 1
-        lines = pl.scan_lines(self.path, name="line", row_index_name="at", glob=False)
-        lines = lines.with_columns(fields.alias("fields"), unclosed.alias("unclosed"))
-        wrong = lines.filter(pl.col("at") > 0, (pl.col("fields") != len(self.names)) | pl.col("unclosed")).head(1)
+        wrong = (fields != len(self.names)) | unclosed
+        lines = pl.scan_lines(self.path, name="line", glob=False)
         try:
-            found = wrong.collect(engine="streaming")
+            first, some = (
+                lines.select(wrong.arg_max().alias("first"), wrong.any().alias("some"))
+                .collect(engine="streaming")
+                .row(0)
+            )
+            if some:
+                where = lines.slice(first, 1).select("line", fields.alias("fields"), unclosed.alias("unclosed"))
+                self._ragged(first, where.collect(engine="streaming").row(0, named=True), stream)
         except ENGINE_ERRORS as error:
             self._check_encoding(stream)
             self._unreadable(error, stream)
-        if found.height:
-            self._ragged(found.row(0, named=True), stream)
         self._shape_is_sound = True
 
     def cell(self, row: int, column: str) -> str | None:
@@ -206,12 +212,11 @@ class CsvTable:
                 )
         return names
 
-    def _check_lines(self, stream: str | None) -> None:
+    def _check_lines(self, stream: str | None) -> bool:
+        """Refuse a line that is too long; whether there is any quote."""
         # A line that is longer than two blocks covers a whole block: one short search per block finds it, and the
         # engine never has to hold it.
         block = self.limits.max_line_bytes
-        if self.path.stat().st_size < 2 * block:
-            return
         with self.path.open("rb") as f, mmap.mmap(f.fileno(), 0, access=mmap.ACCESS_READ) as data:
             for start in range(0, len(data) - block, block):
                 if data.find(b"\n", start, start + block) < 0:
@@ -224,6 +229,8 @@ class CsvTable:
                         expected=f"lines of at most {block:,} bytes",
                         found=f"more than {block:,} bytes",
                     )
+        with self.path.open("rb") as f:
+            return any(b'"' in chunk for chunk in iter(lambda: f.read(CHUNK), b""))
 
     def _check_encoding(self, stream: str | None) -> None:
         """Raise at the first byte that is not UTF-8 text, NUL included."""
@@ -261,7 +268,7 @@ class CsvTable:
                     found=text,
                 )
 
-    def _ragged(self, line: Mapping[str, Any], stream: str | None) -> NoReturn:
+    def _ragged(self, row: int, line: Mapping[str, Any], stream: str | None) -> NoReturn:
         text, fields, expected = line["line"], line["fields"], f"{len(self.names)} fields"
         found = f"{fields} field{'s' * (fields != 1)}: {shown(text)}"
         if not text.strip():
@@ -269,7 +276,7 @@ class CsvTable:
         if line["unclosed"]:
             found = f"a quote that does not end in its line: {shown(text)}"
         what = f"expected {expected}; found {found}"
-        refuse(self.file, what, stream=stream, row=line["at"], expected=expected, found=found)
+        refuse(self.file, what, stream=stream, row=row, expected=expected, found=found)
 
     def _unreadable(self, error: BaseException, stream: str | None) -> NoReturn:
         reason = shown((str(error).strip() or type(error).__name__).splitlines()[0], 200)
@@ -287,10 +294,6 @@ class CsvTable:
             while offset > 0 and (chunk := f.read(min(CHUNK, offset))):
                 lines, offset = lines + chunk.count(b"\n"), offset - len(chunk)
         return lines or None
-
-    def _holds(self, mark: bytes) -> bool:
-        with self.path.open("rb") as f:
-            return any(mark in chunk for chunk in iter(lambda: f.read(CHUNK), b""))
 
 
 def _not_numbers(cell: pl.Expr, frame: pl.LazyFrame) -> pl.LazyFrame:

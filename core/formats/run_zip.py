@@ -7,6 +7,7 @@ that its directory claims.
 from __future__ import annotations
 
 import errno
+import io
 import stat
 import tempfile
 import zipfile
@@ -15,7 +16,7 @@ from contextlib import ExitStack
 from pathlib import Path, PurePosixPath
 
 from core.errors import FormatError, TooLargeError
-from core.formats.base import Format, Limits, Opening, RunSource
+from core.formats.base import KIB, Format, Limits, Opening, RunSource
 from core.formats.checks import refuse, shown
 from core.formats.run_folder import DESCRIPTION, TABLES, open_files, write_folder
 from core.run import Run
@@ -37,9 +38,23 @@ def open_zip(path: Path, opening: Opening) -> RunSource:
     return source
 
 
+class _Guarded(io.BufferedReader):
+    """The archive's file; refuses to hand out a huge directory at once, which zipfile would parse in memory."""
+
+    def __init__(self, path: Path, label: str, limits: Limits) -> None:
+        super().__init__(io.FileIO(path))
+        self.label, self.longest = label, max(limits.max_members * KIB, CHUNK)
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        if size is not None and size > self.longest:
+            what = f"its directory takes {size:,} bytes; expected at most {self.longest:,}"
+            refuse(self.label, what, kind=TooLargeError, expected=self.longest, found=size)
+        return super().read(size)
+
+
 def _unpack(path: Path, folder: Path, label: str, limits: Limits) -> tuple[dict[str, Path], list[str]]:
     try:
-        with zipfile.ZipFile(path) as archive:
+        with _Guarded(path, label, limits) as file, zipfile.ZipFile(file) as archive:
             members = _members(archive, label, limits)
             wanted, ignored = _choose(members, label)
             budget = _Budget(label, limits, path.stat().st_size)

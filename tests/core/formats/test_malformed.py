@@ -219,6 +219,11 @@ def test_sizes_are_limited_before_the_engine_sees_them(tmp_path: Path) -> None:
         assert isinstance(table(tmp_path / name, content), TooLargeError), name
 
 
+def test_a_quote_that_never_ends_is_found_before_the_engine_holds_the_rest(tmp_path: Path) -> None:
+    error = table(tmp_path, 't,gz\n0,1\n1,"2\n' + "3,4\n" * 3_000_000)
+    assert error.where["row"] == 2 and "a quote that does not end" in str(error.where["found"])
+
+
 def test_rows_and_names_are_limited(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     many = "t,beacon,range\n" + "".join(f"{i},B{i},1\n" for i in range(50))

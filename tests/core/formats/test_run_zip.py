@@ -116,6 +116,12 @@ def test_many_entries_are_refused(tmp_path: Path) -> None:
     assert isinstance(refusal(path, Limits(max_members=20)), TooLargeError)
 
 
+def test_a_huge_directory_is_refused_before_it_is_parsed(tmp_path: Path) -> None:
+    path = pack(tmp_path / "run.zip", OK | {f"{i:0200d}": b"" for i in range(8000)})
+    error = refusal(path)
+    assert isinstance(error, TooLargeError) and "directory" in error.message
+
+
 @pytest.mark.parametrize(
     ("entries", "told"),
     [
