@@ -25,7 +25,8 @@ from app.scene.data import DEFAULT_TRACK_WIDTH, DEFAULT_WHEEL_RADIUS, SceneData,
 from app.scene.style import BEACON, FIXES, THEME, THEMES, slug, stroke
 
 MAX_BEACONS = 200
-ELLIPSES = 24  # per path
+CANDIDATES = 240  # rows of a path where an ellipse may stand
+WIDEST = 0.2  # half axis of the widest ellipse drawn, as a share of the scene
 SIGMAS = 2.0
 
 
@@ -147,27 +148,22 @@ def add_method(scene: viser.SceneApi, name: str, path: ScenePath, sizes: Layout,
                 f"{name}/{variant}/path", segments, line.colour(variant), thickness=line.width, thickness_units="screen"
             )
         if path.spread is not None:
-            _add_ellipses(scene, f"{name}/{variant}/spread", path, line.colour(variant), z)
+            _add_ellipses(scene, f"{name}/{variant}/spread", path, sizes, line.colour(variant), z)
 
 
-def _add_ellipses(scene: viser.SceneApi, name: str, path: ScenePath, colour: tuple[int, int, int], z: float) -> None:
-    rows = np.unique(np.linspace(0, len(path.t) - 1, ELLIPSES + 1).astype(np.intp))
+def _add_ellipses(
+    scene: viser.SceneApi, name: str, path: ScenePath, sizes: Layout, colour: tuple[int, int, int], z: float
+) -> None:
+    """Ellipses that stand clear of each other; those wider than the hall say only that the place is unknown."""
     assert path.spread is not None
-    covariance = path.spread.covariance(rows)
-    ok = np.isfinite(covariance).all(axis=(1, 2)) & np.isfinite(path.x[rows]) & np.isfinite(path.y[rows])
-    if not ok.any():
-        return
-    axes, angle = shapes.ellipses(covariance[ok], SIGMAS)
-    rows = rows[ok]
-    outlines = shapes.outlines(np.column_stack((path.x[rows], path.y[rows])), axes, angle, z)
-    scene.add_line_segments(f"{name}/rims", outlines, colour, thickness=1.0, thickness_units="screen")
-    vertices, faces = shapes.disc()
-    scene.add_batched_meshes_simple(
-        f"{name}/discs", vertices, faces, shapes.yaw(angle),
-        np.column_stack((path.x[rows], path.y[rows], np.full(len(rows), z))),
-        batched_scales=np.column_stack((axes, np.ones(len(rows)))),
-        batched_colors=colour, opacity=0.16, side="double", cast_shadow=False, receive_shadow=False, lod="off",
-    )  # fmt: skip
+    rows = np.unique(np.linspace(0, len(path.t) - 1, CANDIDATES).astype(np.intp))
+    centres, covariance = np.column_stack((path.x[rows], path.y[rows])), path.spread.covariance(rows)
+    ok = np.isfinite(covariance).all(axis=(1, 2)) & np.isfinite(centres).all(axis=1)
+    centres, (axes, angle) = centres[ok], shapes.ellipses(covariance[ok], SIGMAS)
+    clear = shapes.apart(centres, axes[:, 0], sizes.extent.size / 16, sizes.extent.size * WIDEST)
+    if len(clear):
+        rims = shapes.outlines(centres[clear], axes[clear], angle[clear], z)
+        scene.add_line_segments(name, rims, colour, thickness=1.2, thickness_units="screen")
 
 
 def add_robot(
@@ -176,7 +172,8 @@ def add_robot(
     """One method's robot at the viewer's time: body, wheels, heading axes; a plain puck where there is no heading."""
     r = (data.robot.wheel_radius or DEFAULT_WHEEL_RADIUS) * sizes.robot_scale
     b = (data.robot.track_width or DEFAULT_TRACK_WIDTH) * sizes.robot_scale
-    colour, ghost = stroke(path.method).colour(theme), None if leads else 0.45
+    colour = stroke(path.method).body(theme)
+    ghost = None if leads else 0.45
     if not leads:  # a little smaller, so that faces of robots in one place don't flicker
         r, b = r * 0.96, b * 0.96
     heading = bool(np.isfinite(path.theta[:1000]).any())

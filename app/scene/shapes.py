@@ -13,6 +13,8 @@ Floats = npt.NDArray[np.floating]
 MAX_SEGMENTS = 20_000
 MAX_DASHES = 2_000
 CAMERA_FOV = 0.85  # rad, vertical
+CAMERA_TILT = 0.93  # rad above the floor
+CAMERA_ASPECT = 1.35  # the narrowest view in which everything is seen
 
 
 @dataclass(frozen=True)
@@ -140,11 +142,36 @@ def grid_pitch(size: float) -> float:
     return float(power * next(m for m in (1, 2, 5, 10) if raw <= m * power * 1.001))
 
 
+def apart(centres: Floats, radius: Floats, gap: float, widest: float) -> list[int]:
+    """Which of the discs (M, 2), (M,) along a path to draw: each clear of those before it by `gap`, none too wide."""
+    chosen: list[int] = []
+    for i in np.flatnonzero((radius > 0) & (radius <= widest)):
+        distance = np.hypot(*(centres[chosen] - centres[i]).T) if chosen else np.array([np.inf])
+        if (distance >= np.maximum(gap, 0.8 * (radius[i] + (radius[chosen] if chosen else 0.0)))).all():
+            chosen.append(int(i))
+    return chosen
+
+
 def camera(extent: Extent) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Position and look-at that show the whole extent from the south, tilted, x to the right as on the map."""
-    cx, cy = extent.centre
-    width, depth = extent.x1 - extent.x0, extent.y1 - extent.y0
-    reach = max(depth, width * 0.72, extent.height * 1.6, 1.0) * 0.5 / np.tan(CAMERA_FOV / 2) * 1.25 + depth * 0.16
-    tilt = 0.93  # rad above the floor
-    position = (cx, cy - reach * np.cos(tilt), reach * np.sin(tilt))
-    return tuple(map(float, position)), (cx, cy - 0.03 * reach, extent.height * 0.2)  # type: ignore[return-value]
+    """Position and look-at from the south, tilted, x to the right as on the map, as near as all of it is seen."""
+    half = np.tan(CAMERA_FOV / 2)
+    margin = 0.04 * extent.size
+    corners = np.array(
+        [(x, y, z) for x in (extent.x0 - margin, extent.x1 + margin) for y in (extent.y0 - margin, extent.y1 + margin)
+         for z in (0.0, extent.height)]
+    )  # fmt: skip
+    back = np.array((0.0, -np.cos(CAMERA_TILT), np.sin(CAMERA_TILT)))
+    up = np.array((0.0, np.sin(CAMERA_TILT), np.cos(CAMERA_TILT)))
+    target = np.array((*extent.centre, 0.0))
+    for reach in extent.size * np.geomspace(0.5, 8.0, 80):
+        for _ in range(4):  # shift the target until top and bottom have the same margin
+            seen = corners - (target + reach * back)
+            depth = seen @ -back
+            if (depth <= 0).any():
+                break
+            height, side = (seen @ up) / depth / half, np.abs(seen[:, 0]) / depth / (half * CAMERA_ASPECT)
+            target[1] += (height.max() + height.min()) / 2 * half * reach
+        if (depth > 0).all() and height.max() <= 0.94 and height.min() >= -0.94 and side.max() <= 0.94:
+            break
+    position = target + reach * back
+    return (float(position[0]), float(position[1]), float(position[2])), (float(target[0]), float(target[1]), 0.0)

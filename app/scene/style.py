@@ -21,6 +21,11 @@ class Stroke:
         """The colour in a theme."""
         return self.dark if theme == "dark" else self.light
 
+    def body(self, theme: str) -> Rgb:
+        """The colour of a lit body, which the lights make brighter than a line."""
+        r, g, b = self.colour(theme)
+        return int(0.72 * r), int(0.72 * g), int(0.72 * b)
+
 
 @dataclass(frozen=True)
 class Theme:

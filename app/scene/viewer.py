@@ -101,7 +101,9 @@ class Client:
         axes, angle = shapes.ellipses(covariance, build.SIGMAS)
         disc = self._discs[path.method]
         disc.position = (x, y, self._sizes.level(layer + 0.5))
-        scale = (round(float(axes[0, 0]), 4), round(float(axes[0, 1]), 4), 1.0)
+        if axes[0, 0] > self._sizes.extent.size / 2:  # it would cover the hall
+            axes = np.full((1, 2), 1e-6)
+        scale = (round(float(axes[0, 0]), 6), round(float(axes[0, 1]), 6), 1.0)
         if max(abs(a - b) for a, b in zip(scale, np.broadcast_to(disc.scale, 3), strict=True)) > 0.01 * scale[0]:
             disc.scale = scale
         disc.wxyz = shapes.yaw(angle[0])

@@ -20,8 +20,6 @@ from app import security
 from app.scene.pool import BusyError, Scenes
 from app.settings import Settings
 
-FINAL = "SetSceneNodeVisibilityMessage"
-
 
 @pytest.fixture
 def local(tmp_path: Path) -> Settings:
@@ -81,7 +79,7 @@ def test_a_browser_sees_paths_beacons_and_robots(site: Site) -> None:
     names = {str(m.get("name")) for m in heard}
     assert {
         "/world/methods/truth/light/path",
-        "/world/methods/encoders/dark/spread/discs",
+        "/world/methods/encoders/dark/spread",
         "/world/beacons/B1/label",
         "/world/fixes",
         "/world/ground/light/grid",

@@ -143,3 +143,36 @@ def test_a_scene_straight_from_core_objects_has_truth_methods_and_fixes() -> Non
     assert data.paths[1].spread is not None
     assert data.paths[1].spread.covariance(0)[0] == pytest.approx(np.diag((0.04, 0.09)))
     assert np.isnan(data.paths[0].pose_at(1.0)[2])
+
+
+@pytest.mark.parametrize(
+    "extent",
+    [
+        shapes.Extent(-5, -3, 5, 3, 2.5),
+        shapes.Extent(100, 100, 101, 140),
+        shapes.Extent(0, 0, 300, 2, 4),
+        shapes.Extent(0, 0, 0, 0),
+    ],
+)
+def test_the_first_view_shows_everything_and_not_from_far_away(extent: shapes.Extent) -> None:
+    position, target = (np.array(p) for p in shapes.camera(extent))
+    back = (position - target) / np.linalg.norm(position - target)
+    up = np.array((0.0, back[2], -back[1]))
+    xs, ys = (extent.x0, extent.x1), (extent.y0, extent.y1)
+    corners = np.array([(x, y, z) for x in xs for y in ys for z in (0.0, extent.height)]) - position
+    depth, half = corners @ -back, np.tan(shapes.CAMERA_FOV / 2)
+    assert (depth > 0).all()
+    vertical, sideways = corners @ up / depth / half, corners[:, 0] / depth / half / shapes.CAMERA_ASPECT
+    assert max(np.abs(vertical).max(), np.abs(sideways).max()) < 1.0
+    assert np.linalg.norm(position - target) < 3.2 * max(extent.size, extent.height)
+
+
+def test_ellipses_along_a_path_stand_clear_of_each_other() -> None:
+    centres = np.column_stack((np.linspace(0, 10, 101), np.zeros(101)))
+    radius = np.linspace(0.0, 3.0, 101)
+    chosen = shapes.apart(centres, radius, gap=0.5, widest=2.0)
+    assert chosen
+    assert radius[chosen].max() <= 2.0
+    assert radius[chosen].min() > 0.0
+    gaps = np.diff(centres[chosen, 0])
+    assert (gaps >= np.maximum(0.5, 0.8 * (radius[chosen][1:] + radius[chosen][:-1])) - 1e-9).all()
