@@ -3,7 +3,7 @@
 /world                        a viewer's own frame: moved, it is the follow camera
   ground/{light,dark}         grid sized to the data, its pitch as a label, the map's axes
   beacons/{name}              mast, head and label at the surveyed height
-  fixes                       raw beacon fixes
+  fixes                       raw beacon fixes, switched like a method
   methods/{method}            what a viewer switches on and off
     {light,dark}              path (at most 20,000 segments) and two-sigma ellipses along it
   robots/{method}             a viewer's own: body, wheels and heading axes at the viewer's time
@@ -91,8 +91,7 @@ def _set_camera(server: viser.ViserServer, sizes: Layout) -> None:
 def add_ground(scene: viser.SceneApi, name: str, sizes: Layout, theme: str) -> None:
     """Grid, its pitch in words, and the map's axes at the origin where that is near."""
     extent, colours, pitch = sizes.extent, THEME[theme], shapes.grid_pitch(sizes.extent.size)
-    x0, y0 = np.floor(extent.x0 / pitch - 0.5) * pitch, np.floor(extent.y0 / pitch - 0.5) * pitch
-    x1, y1 = np.ceil(extent.x1 / pitch + 0.5) * pitch, np.ceil(extent.y1 / pitch + 0.5) * pitch
+    x0, y0, x1, y1 = extent.floor()
     lines = _grid_lines(x0, y0, x1, y1, pitch)
     scene.add_line_segments(f"{name}/grid", lines, colours.cell, thickness=1.0, thickness_units="screen")
     border = np.array([[[x0, y0], [x1, y0]], [[x1, y0], [x1, y1]], [[x1, y1], [x0, y1]], [[x0, y1], [x0, y0]]])
@@ -131,7 +130,7 @@ def _add_fixes(scene: viser.SceneApi, data: SceneData, sizes: Layout) -> None:
     points = np.column_stack((rows, np.full(len(rows), sizes.level(-0.5)))).astype(np.float32)
     size = sizes.unit * (0.5 if len(points) < 2000 else 0.3)
     scene.add_point_cloud(
-        "/world/fixes", points, FIXES.light, point_size=size, point_shape="circle", precision="float32",
+        "/world/fixes/points", points, FIXES.light, point_size=size, point_shape="circle", precision="float32",
         point_shading="flat",
     )  # fmt: skip
 

@@ -18,6 +18,7 @@ Floats = npt.NDArray[np.floating]
 DEFAULT_WHEEL_RADIUS = 0.075  # m, where the run doesn't say
 DEFAULT_TRACK_WIDTH = 0.32  # m
 MAX_FIXES = 20_000
+FIXES = "fixes"  # raw beacon fixes are switched like a method
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,7 @@ class SceneData:
     @property
     def methods(self) -> tuple[str, ...]:
         """What can be switched on and off, in drawing order."""
-        return tuple(p.method for p in self.paths)
+        return tuple(p.method for p in self.paths) + ((FIXES,) if len(self.fixes) else ())
 
 
 def from_core(

@@ -12,7 +12,7 @@ from typing import Any
 import viser
 
 from app.scene.cursor import Cursor
-from app.scene.data import SceneData
+from app.scene.data import FIXES, SceneData
 
 SPEEDS = ("0.25", "0.5", "1", "2", "5", "10", "60")
 REFRESH = 0.2  # s between moves of the slider while playing
@@ -32,7 +32,8 @@ class Panel:
         self._play = gui.add_checkbox("play", cursor.playing)
         self._speed = gui.add_dropdown("speed ×", SPEEDS, initial_value="1")
         self._follow = gui.add_checkbox("follow", cursor.follow)
-        self._methods = {path.method: gui.add_checkbox(path.label, True) for path in data.paths}
+        labels = {path.method: path.label for path in data.paths} | ({FIXES: "Beacon fixes"} if len(data.fixes) else {})
+        self._methods = {method: gui.add_checkbox(label, True) for method, label in labels.items()}
         self._bind(self._time, lambda: {"t": float(self._time.value)})
         self._bind(self._play, lambda: {"playing": bool(self._play.value)})
         self._bind(self._speed, lambda: {"speed": float(self._speed.value)})

@@ -37,6 +37,13 @@ class Extent:
         """The longer side, never below 1 m: a robot at rest still stands on a floor."""
         return max(self.x1 - self.x0, self.y1 - self.y0, 1.0)
 
+    def floor(self) -> tuple[float, float, float, float]:
+        """x0, y0, x1, y1 of the ground grid: whole cells, half a cell clear of what stands on it."""
+        pitch = grid_pitch(self.size)
+        x0, y0 = (np.floor(v / pitch - 0.5) * pitch for v in (self.x0, self.y0))
+        x1, y1 = (np.ceil(v / pitch + 0.5) * pitch for v in (self.x1, self.y1))
+        return float(x0), float(y0), float(x1), float(y1)
+
 
 def extent_of(clouds: list[Floats], height: float = 0.0) -> Extent:
     """The extent of (N, 2) clouds, without what is not finite."""
@@ -155,11 +162,8 @@ def apart(centres: Floats, radius: Floats, gap: float, widest: float) -> list[in
 def camera(extent: Extent) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     """Position and look-at from the south, tilted, x to the right as on the map, as near as all of it is seen."""
     half = np.tan(CAMERA_FOV / 2)
-    margin = 0.04 * extent.size
-    corners = np.array(
-        [(x, y, z) for x in (extent.x0 - margin, extent.x1 + margin) for y in (extent.y0 - margin, extent.y1 + margin)
-         for z in (0.0, extent.height)]
-    )  # fmt: skip
+    x0, y0, x1, y1 = extent.floor()
+    corners = np.array([(x, y, z) for x in (x0, x1) for y in (y0, y1) for z in (0.0, extent.height)])
     back = np.array((0.0, -np.cos(CAMERA_TILT), np.sin(CAMERA_TILT)))
     up = np.array((0.0, np.sin(CAMERA_TILT), np.cos(CAMERA_TILT)))
     target = np.array((*extent.centre, 0.0))

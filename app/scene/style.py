@@ -1,4 +1,4 @@
-"""How the scene looks: the pages' colours per method and theme (static/css/tokens.css), dashes, line widths."""
+"""How the scene looks: the pages' colours and dashes per method (tokens.css, static/lib/methods.js), line widths."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ def _same(rgb: Rgb, dash: tuple[float, ...] = (), width: float = 2.5) -> Stroke:
 
 STROKES: dict[str, Stroke] = {
     "truth": Stroke((20, 24, 28), (233, 236, 239), width=3.0),
-    "encoders": _same((230, 159, 0), (5, 2)),
-    "beacon": _same((86, 180, 233), (1, 1.2)),
-    "encoders+gyro": _same((213, 94, 0), (4, 1.5, 1, 1.5)),
-    "published": _same((204, 121, 167), (2.5, 1.5)),
+    "encoders": _same((230, 159, 0), (3.5, 1.5)),
+    "beacon": _same((86, 180, 233), (1, 1.5)),
+    "encoders+gyro": _same((213, 94, 0), (4.5, 1.5, 1, 1.5)),
+    "published": _same((204, 121, 167), (2.5, 1, 0.5, 1, 0.5, 1)),
     "fused": Stroke((0, 114, 178), (47, 147, 214), width=3.5),
-    "smoothed": _same((0, 158, 115), width=3.0),
+    "smoothed": _same((0, 158, 115), (6, 1.5), width=3.0),
 }
 OTHER = _same((128, 134, 140), (2, 1))
 FIXES = Stroke((120, 150, 172), (112, 140, 160))

@@ -16,7 +16,7 @@ import viser
 
 from app.scene import build, shapes
 from app.scene.cursor import Cursor
-from app.scene.data import SceneData, ScenePath
+from app.scene.data import FIXES, SceneData, ScenePath
 from app.scene.panel import Panel
 from app.scene.style import THEMES, primary, slug
 
@@ -45,6 +45,8 @@ class Client:
             self._shown[path.method] = scene.add_frame(name, show_axes=False)
             for variant in THEMES:
                 self._variants[variant].append(scene.add_frame(f"{name}/{variant}", show_axes=False, visible=False))
+        if len(data.fixes):
+            self._shown[FIXES] = scene.add_frame("/world/fixes", show_axes=False)
 
     def dress(self, cursor: Cursor) -> None:
         """Theme and methods as the cursor has them."""
@@ -223,7 +225,7 @@ class Viewer:
             "follow": self.cursor.follow,
             "methods": methods,
             "theme": self.cursor.theme,
-            "leader": primary(methods),
+            "leader": primary([m for m in methods if m != FIXES]),
             "robot_scale": round(self._sizes.robot_scale, 2),
             "poses": {p.method: _plain(p.pose_at(t)) for p in self._data.paths if self.cursor.shows(p.method)},
         }

@@ -81,7 +81,7 @@ def test_a_browser_sees_paths_beacons_and_robots(site: Site) -> None:
         "/world/methods/truth/light/path",
         "/world/methods/encoders/dark/spread",
         "/world/beacons/B1/label",
-        "/world/fixes",
+        "/world/fixes/points",
         "/world/ground/light/grid",
         "/world/robots/truth/body",
         "/world/robots/encoders/left",
@@ -190,7 +190,7 @@ def test_two_viewers_have_each_their_own_run_and_cursor(site: Site) -> None:
     assert eventually(lambda: viewers(site, "run-b")["v2"]["t"] == 20.0)
     a, b, c = viewers(site, "run-a")["v1"], viewers(site, "run-b")["v2"], viewers(site, "run-a")["v3"]
     assert (a["methods"], a["theme"], a["leader"]) == (["truth"], "light", "truth")
-    assert (b["methods"], b["theme"], b["leader"]) == (["truth", "encoders", "beacon"], "dark", "encoders")
+    assert (b["methods"], b["theme"], b["leader"]) == (["truth", "encoders", "beacon", "fixes"], "dark", "encoders")
     assert (c["t"], c["clients"]) == (0.0, 1)
     assert set(viewers(site, "run-a")) == {"v1", "v3"}
     for end in (*browsers, *hands):

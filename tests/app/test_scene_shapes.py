@@ -138,7 +138,7 @@ def test_a_scene_straight_from_core_objects_has_truth_methods_and_fixes() -> Non
     run = Run(RunMeta(name="hall", beacons={"B": (1.0, 2.0, 3.0)}), truth=truth, beacon=beacon)
     trajectory = Trajectory(given.t, given.x, given.y, given.theta, np.tile(np.diag((0.04, 0.09, 0.01)), (600, 1, 1)))
     data = from_core(run, {"encoders": trajectory}, {"encoders": "Encoders"}, "r1")
-    assert data.methods == ("truth", "encoders")
+    assert data.methods == ("truth", "encoders", "fixes")
     assert (data.name, data.t1, data.fixes.shape) == ("hall", DURATION, (5, 2))
     assert data.paths[1].spread is not None
     assert data.paths[1].spread.covariance(0)[0] == pytest.approx(np.diag((0.04, 0.09)))
