@@ -12,6 +12,8 @@ import logging
 import os
 import secrets
 import signal
+import time
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -32,15 +34,18 @@ CONFIG: dict[str, Any] = {
 }
 CONNECT_S = 10.0
 CLOSE_S = 1.0
+STUCK_S = 10.0
 
 
 class Cluster:
-    """Where tasks run. `connect` first; then `submit`, at most `slots` at a time."""
+    """Where tasks run. `connect` first; then `submit`, at most `room()` at a time."""
 
     def __init__(self, settings: Settings, on_event: Callable[[dict[str, Any]], None]) -> None:
         self._settings, self._on_event = settings, on_event
         self._client: Any = None
         self._local: Any = None
+        self._busy: dict[str, str] = {}  # worker by task
+        self._short_since: float | None = None  # since when workers are missing
         self.topic = f"driftscope-{secrets.token_hex(8)}"  # two dashboards may share one scheduler
 
     @property
@@ -52,8 +57,9 @@ class Cluster:
         """Start the embedded cluster, or connect to the scheduler. Raises OSError if that one doesn't answer."""
         dask: Any = importlib.import_module("dask")
         distributed: Any = importlib.import_module("distributed")  # slow to import: with the first job only
-        if self._client is not None:
-            self.close()
+        self.close()
+        self._busy.clear()
+        self._short_since = None
         dask.config.set(CONFIG)
         logging.getLogger("distributed").setLevel(logging.ERROR)
         target: Any = self._settings.scheduler
@@ -78,21 +84,49 @@ class Cluster:
             silence_logs=logging.CRITICAL,
         )
 
-    @property
-    def slots(self) -> int:
-        """How many tasks can run at once: one per worker thread, 0 while no worker is there."""
-        return sum(self._workers().values())
+    def room(self) -> int:
+        """How many tasks can start now: a thread of a worker each; none wait inside Dask."""
+        free = self._free()
+        if self._is_stuck(len(free)):
+            log.warning("worker processes did not come back; the embedded cluster is started anew")
+            self.connect()
+            free = self._free()
+        return len(free)
 
-    def _workers(self) -> dict[str, int]:
-        if not self.connected:
-            return {}
-        return {address: w["nthreads"] for address, w in self._client.scheduler_info(n_workers=-1)["workers"].items()}
+    def _is_stuck(self, free: int) -> bool:
+        """Whether workers of the idle embedded cluster have been missing for STUCK_S.
+
+        A nanny starts a dead worker again, but not reliably where that one dies while it is being started.
+        """
+        if self._local is None or self._busy or free >= self._settings.workers:
+            self._short_since = None
+            return False
+        self._short_since = self._short_since or time.monotonic()
+        return time.monotonic() - self._short_since > STUCK_S
+
+    def _free(self) -> list[str]:
+        """Addresses of workers with an idle thread, one entry per thread."""
+        threads: dict[str, int] = self._client.nthreads() if self.connected else {}  # the client's own copy is old
+        if self._local is not None:
+            # A task that kills its worker before the nanny has seen that worker start would leave the nanny waiting.
+            seen = {nanny.worker_address for nanny in self._local.workers.values() if _is_up(nanny)}
+            threads = {address: n for address, n in threads.items() if address in seen}
+        busy = Counter(self._busy.values())
+        return [address for address, n in threads.items() for _ in range(n - busy[address])]
 
     def submit(self, key: str, function: Callable[..., Any], *args: Any, done: Callable[[Any], None]) -> Any:
-        """Run `function(*args)` in a worker; `done` is called, from another thread, once it ended in any way."""
-        future = self._client.submit(function, *args, key=key, pure=False)
+        """Run `function(*args)` in a free worker; `done` is called, from another thread, once it ended in any way."""
+        worker = next(iter(self._free()), None)
+        where = {} if worker is None else {"workers": [worker], "allow_other_workers": True}
+        future = self._client.submit(function, *args, key=key, pure=False, **where)
+        if worker is not None:
+            self._busy[key] = worker
         future.add_done_callback(done)
         return future
+
+    def ended(self, key: str) -> None:
+        """The task of that key has left its worker."""
+        self._busy.pop(key, None)
 
     def warm(self, function: Callable[[], Any]) -> list[Any]:
         """Run `function` once in every worker process there is."""
@@ -100,17 +134,21 @@ class Cluster:
             return []
         return [
             self._client.submit(function, workers=[address], key=f"warm-{secrets.token_hex(4)}", pure=False)
-            for address in self._workers()
+            for address in self._free()
         ]
 
     def kill(self, key: str) -> None:
         """Stop a task that doesn't listen, by restarting the worker that runs it."""
         if not self.connected:
             return
-        busy = [address for address, keys in self._client.processing().items() if key in keys]
+        busy = {address for address, keys in self._client.processing().items() if key in keys}
         self._client.cancel([key], force=True)
-        if busy:
-            self._client.restart_workers(busy, timeout=CONNECT_S, raise_for_error=False)
+        if self._local is None:
+            self._client.restart_workers(list(busy), timeout=CONNECT_S, raise_for_error=False)
+            return
+        for nanny in self._local.workers.values():
+            if nanny.worker_address in busy:
+                _kill_process(nanny)  # the nanny starts another
 
     def close(self) -> None:
         """Disconnect; of the embedded cluster nothing is left running."""
@@ -118,13 +156,19 @@ class Cluster:
         if local is not None:
             # What still runs is taken up again at the next start; waiting for it would hold up the server's stop.
             for nanny in local.workers.values():
-                nanny.auto_restart = False
-                if nanny.pid is not None:
-                    with contextlib.suppress(ProcessLookupError):
-                        os.kill(nanny.pid, signal.SIGKILL)
-        if client is not None:
-            with contextlib.suppress(TimeoutError, OSError):
-                client.close(timeout=CLOSE_S)
-        if local is not None:
-            with contextlib.suppress(TimeoutError, OSError):
-                local.close(timeout=CLOSE_S)
+                nanny.close_gracefully()
+                _kill_process(nanny)
+        for each in (client, local):
+            if each is not None:
+                with contextlib.suppress(TimeoutError, OSError):
+                    each.close(timeout=CLOSE_S)
+
+
+def _is_up(nanny: Any) -> bool:
+    return nanny.process is not None and nanny.process.status.name == "running"
+
+
+def _kill_process(nanny: Any) -> None:
+    if nanny.pid is not None:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(nanny.pid, signal.SIGKILL)

@@ -33,6 +33,7 @@ from core.errors import CancelledError, DriftscopeError
 log = logging.getLogger("driftscope.jobs")
 
 LOOK_S = 2.0  # the table is looked at this often, beside every time that something changed
+SOON_S = 0.1  # while a worker comes back, or a job is being cancelled
 RECONNECT_S = 5.0
 WRITE_PROGRESS_S = 1.0  # progress is told at once and written this often
 CANCEL_GRACE_S = 5.0  # then the worker of a job that doesn't listen is restarted
@@ -63,7 +64,7 @@ class JobEngine:
         self._attempts: dict[str, Attempt] = {}  # by job
         self._deaths: Counter[str] = Counter()
         self._stopping = threading.Event()
-        self._look = True
+        self._look, self._hurry = True, False
         self._reconnect_at = 0.0
         self._thread = threading.Thread(target=self._work, name="jobs", daemon=True)
 
@@ -173,7 +174,7 @@ class JobEngine:
 
     def _turn(self) -> None:
         try:
-            self._inbox.get(timeout=0.2 if self._closing() else LOOK_S)()
+            self._inbox.get(timeout=SOON_S if self._hurry else LOOK_S)()
             with contextlib.suppress(queue.Empty):
                 while not self._stopping.is_set():
                     self._inbox.get_nowait()()
@@ -181,8 +182,9 @@ class JobEngine:
             self._look = True
         self._kill_deaf()
         if self._look and not self._stopping.is_set():
-            self._look = False
+            self._look = self._hurry = False
             self._dispatch()
+        self._hurry = self._hurry or any(a.kill_at is not None for a in self._attempts.values())
 
     def _safely(self, step: Callable[[], None]) -> None:
         try:
@@ -219,9 +221,10 @@ class JobEngine:
                 return
         if not self._connect():
             return
-        room = self._cluster.slots - len(self._attempts)
+        room = self._cluster.room()
+        self._hurry = room == 0 and not self._attempts  # a worker is on its way back
         with reading(self._engine) as session:
-            waiting = [job.id for job in jobs.next_queued(session, room)] if room > 0 else []
+            waiting = [job.id for job in jobs.next_queued(session, room)] if room else []
         for job_id in waiting:
             self._start_job(job_id)
 
@@ -275,9 +278,6 @@ class JobEngine:
             tasks.cancel_flag(self._settings.data, attempt.key).touch()
             attempt.kill_at = time.monotonic() + CANCEL_GRACE_S
 
-    def _closing(self) -> bool:
-        return any(a.kill_at is not None for a in self._attempts.values())
-
     def _kill_deaf(self) -> None:
         now = time.monotonic()
         for job_id, attempt in list(self._attempts.items()):
@@ -288,6 +288,7 @@ class JobEngine:
 
     def _forget(self, job_id: str) -> Attempt:
         attempt = self._attempts.pop(job_id)
+        self._cluster.ended(attempt.key)
         tasks.cancel_flag(self._settings.data, attempt.key).unlink(missing_ok=True)
         self._look = True
         return attempt
