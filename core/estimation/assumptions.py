@@ -77,9 +77,13 @@ def assume(run: Run, config: Config | None = None) -> tuple[Assumptions, tuple[s
             continue
         if sheet is not None and sheet > 0:
             values[name] = float(sheet)
-        elif getattr(run, _STREAM[name]) is not None:
+        elif getattr(run, _STREAM[name]) is not None and not (name == "fix_theta" and _headless(run)):
             notes.append(f"Assumed, as run.json is silent: {_WORDS[name].format(FIELDS[name].default)}.")
     return Assumptions(**{**values, **given}), tuple(notes)
+
+
+def _headless(run: Run) -> bool:
+    return run.beacon is None or run.beacon.theta is None
 
 
 def _checked(name: str, value: object) -> float:

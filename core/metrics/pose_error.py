@@ -133,7 +133,10 @@ def relative_errors(
 
 
 def pairs_apart(along: Array, delta: float) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """For each index the later one that lies nearest to `delta` further along, if within PAIR_TOLERANCE of it."""
+    """For each index the later one that lies nearest to `delta` further along, if within PAIR_TOLERANCE of it.
+
+    Indices with less than `delta` before them have no pair.
+    """
     i = np.arange(along.size - 1)
     target = along[i] + delta
     after = np.clip(np.searchsorted(along, target, "left"), i + 1, along.size - 1)
@@ -141,7 +144,7 @@ def pairs_apart(along: Array, delta: float) -> tuple[npt.NDArray[np.intp], npt.N
     nearer = np.where(np.abs(along[before] - target) <= np.abs(along[after] - target), before, after)
     # The first of several poses at the same place, as where the robot stands still.
     nearer = np.maximum(np.searchsorted(along, along[nearer], "left"), i + 1)
-    good = np.abs(along[nearer] - target) <= PAIR_TOLERANCE * delta
+    good = (np.abs(along[nearer] - target) <= PAIR_TOLERANCE * delta) & (target <= along[-1] + 1e-9 * delta)
     return i[good], nearer[good]
 
 

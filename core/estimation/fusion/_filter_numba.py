@@ -80,6 +80,8 @@ def _predict(
     chord = math.sin(half) / half if abs(half) > 1e-6 else 1.0
     ux, uy = chord * math.cos(x[TH] + half), chord * math.sin(x[TH] + half)
     dx, dy = d * ux, d * uy
+    shrink = (math.cos(half) / chord - 1.0) / w if abs(half) > 1e-4 else -w / 12.0  # d(log chord)/dw
+    px, py = dx * shrink - 0.5 * dy, dy * shrink + 0.5 * dx
     sd, sk = 1.0 - x[KD], 1.0 + x[KB]
     ke = x[KE] * c.inverse_track
     x[X] += dx
@@ -92,9 +94,8 @@ def _predict(
     for j in range(n):
         turn = -cb * gain * P[B, j] - free * P[KG, j]
         move = cd * P[V, j]
-        swing = P[TH, j] + 0.5 * turn
-        P[X, j] += ux * move - dy * swing
-        P[Y, j] += uy * move + dx * swing
+        P[X, j] += ux * move - dy * P[TH, j] + px * turn
+        P[Y, j] += uy * move + dx * P[TH, j] + py * turn
         P[S, j] += sd * move - d * P[KD, j]
         P[PHI, j] += sk * turn + w * P[KB, j] - ke * move - d * c.inverse_track * P[KE, j]
         P[TH, j] += turn
@@ -103,9 +104,8 @@ def _predict(
     for i in range(n):
         turn = -cb * gain * P[i, B] - free * P[i, KG]
         move = cd * P[i, V]
-        swing = P[i, TH] + 0.5 * turn
-        P[i, X] += ux * move - dy * swing
-        P[i, Y] += uy * move + dx * swing
+        P[i, X] += ux * move - dy * P[i, TH] + px * turn
+        P[i, Y] += uy * move + dx * P[i, TH] + py * turn
         P[i, S] += sd * move - d * P[i, KD]
         P[i, PHI] += sk * turn + w * P[i, KB] - ke * move - d * c.inverse_track * P[i, KE]
         P[i, TH] += turn
