@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from core.simulation import params as P
-from core.simulation._drive_numba import EVENT, Piece, command, compiled, end_of, ground, wheel
+from core.simulation._drive_numba import EVENT, Piece, command, compiled, end_of, ground, inlined, wheel
 
 Array = npt.NDArray[np.float64]
 Triple = tuple[float, float, float]
@@ -39,7 +39,7 @@ EDGE_TURN, EDGE_V, EDGE_VY, EDGE_W, EDGE_WV, EDGE_WVY, EDGE_WW, EDGE_CC, EDGE_SS
 EDGE = 9
 
 
-@compiled
+@inlined
 def sincos(d: float) -> tuple[float, float]:
     """(sin d, cos d); a series for the small turns of one piece (its next term is below 1e-16)."""
     if abs(d) > 0.06:
@@ -59,7 +59,7 @@ def bump(u: float) -> tuple[float, float]:
     return (1.0 - np.cos(a)) / BUMP_SPAN, u / BUMP_SPAN - np.sin(a) / (2.0 * np.pi)
 
 
-@compiled
+@inlined
 def body(
     left: Piece, right: Piece, h: float, half: float, t: float, inside: bool, par: Array
 ) -> tuple[tuple[float, float, float, float, float], Triple, Triple, tuple[float, float, float, float, float]]:
@@ -130,7 +130,7 @@ def cut_at_patch(left: Piece, right: Piece, h: float, state: Array, par: Array) 
     return max(hi, EVENT), True
 
 
-@compiled
+@inlined
 def put_speeds(state: Array, speeds: Triple) -> None:
     """Body speeds (v, vy, w) and the map velocity that they are."""
     v, vy, w = speeds
@@ -147,7 +147,7 @@ def put_pose(state: Array, x: float, y: float, theta: float, par: Array) -> None
     put_speeds(state, (state[V], state[VY], state[W]))
 
 
-@compiled
+@inlined
 def put_edge(edges: Array, g: int, state: Array) -> None:
     """The window edge's row from the state at its instant."""
     row = edges[g]
@@ -156,7 +156,7 @@ def put_edge(edges: Array, g: int, state: Array) -> None:
     row[EDGE_CC], row[EDGE_SS] = state[CC], state[SS]
 
 
-@compiled
+@inlined
 def put_node(nodes: Array, n: int, state: Array) -> int:
     """Write the state as node n; returns n + 1."""
     row = nodes[n]
@@ -165,7 +165,7 @@ def put_node(nodes: Array, n: int, state: Array) -> int:
     return n + 1
 
 
-@compiled
+@inlined
 def edge_at(par: Array, grid: Array, g: int) -> float:
     """The instant of a window edge, out of the IMU's stamps."""
     return (grid[g] - par[P.CLOCK_OFFSET]) * par[P.CLOCK_RATE]
@@ -188,7 +188,7 @@ def at_rest(par: Array, grid: Array, nodes: Array, edges: Array, state: Array) -
     return g
 
 
-@compiled
+@inlined
 def advance(
     state: Array,
     moved: tuple[float, float, float, float, float],
@@ -229,7 +229,7 @@ def edges_within(
     return g
 
 
-@compiled
+@inlined
 def piece(
     par: Array,
     state: Array,
@@ -277,7 +277,7 @@ def piece(
     return put_node(nodes, n, state), g
 
 
-@compiled
+@inlined
 def target(
     par: Array, t: float, t_end: float, times: Array, j: int, cuts: Array, m: int, restarts: Array, k: int
 ) -> float:

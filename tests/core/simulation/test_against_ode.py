@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from bisect import bisect_right
 from collections.abc import Callable
 
 import numpy as np
@@ -29,21 +30,24 @@ class Reference:
         assert run.commands is not None and run.meta.start is not None
         self.run, self.commands = run, run.commands
         self.b = float(run.meta.robot.track_width or 0.0)
+        rims = [self.commands.v + (side - 0.5) * self.commands.w * self.b for side in (0, 1)]
+        self.table = [(self.commands.t.tolist(), rim.tolist()) for rim in rims]
         self.get: Callable[[str, str, float], float] = lambda e, p, d: float(effects.get(e, {}).get(p, d))
         self.delay = self.get("command_delay", "delay", 0.0)
         self.tau = self.get("motor_lag", "tau", 0.0)
+        self.width, self.gain = self.get("deadband", "width", 0.0), self.get("drive_gain", "gain", 1.0)
+        self.sag, self.slip = self.get("battery_sag", "rate", 0.0), self.get("wheel_slip", "k", 0.0)
         self.a_max = self.get("accel_limit", "a_max", math.inf)
         self.behind = [0.0, 0.0]  # sign of the acceleration limit that each wheel is at, 0: it follows
         start, patch = run.meta.start, [self.get("slip_patch", name, 0.0) for name in ("x", "y", "radius")]
         self.inside = math.hypot(start.x - patch[0], start.y - patch[1]) < patch[2]
 
     def set_point(self, t: float, side: int) -> float:
-        at = t - self.delay
-        v, w = (float(np.interp(at, self.commands.t, c)) for c in (self.commands.v, self.commands.w))
-        u = v + (side - 0.5) * w * self.b
-        if abs(u) < self.get("deadband", "width", 0.0):
-            return 0.0
-        return u * self.get("drive_gain", "gain", 1.0) * math.exp(-self.get("battery_sag", "rate", 0.0) * t)
+        at, (times, values) = t - self.delay, self.table[side]
+        i = min(max(bisect_right(times, at) - 1, 0), len(times) - 2)
+        share = min(max((at - times[i]) / (times[i + 1] - times[i]), 0.0), 1.0)
+        u = values[i] + share * (values[i + 1] - values[i])
+        return 0.0 if abs(u) < self.width else u * self.gain * math.exp(-self.sag * t)
 
     def slope(self, t: float, side: int) -> float:
         return (self.set_point(t + 1e-7, side) - self.set_point(t - 1e-7, side)) / 2e-7
@@ -55,7 +59,7 @@ class Reference:
         elif self.behind[side] != 0.0:
             v, a = float(s[3 + side]), self.behind[side] * self.a_max
         else:
-            v, a = self.set_point(t, side), self.slope(t, side) if self.get("wheel_slip", "k", 0.0) else 0.0
+            v, a = self.set_point(t, side), self.slope(t, side) if self.slip else 0.0
         limit = self.get("speed_limit", "v_max", math.inf)
         return min(max(v, -limit), limit), a
 
@@ -66,7 +70,7 @@ class Reference:
         ground = []
         for side in (0, 1):
             v, a = self.rim(t, s, side)
-            lost = min(max(self.get("wheel_slip", "k", 0.0) * a * np.sign(v), -1.0), 1.0)
+            lost = min(max(self.slip * a * math.copysign(1.0, v), -1.0), 1.0)
             ground.append((1.0 - lost) * v * scale * size[side] * grip)
         v, w = 0.5 * (ground[0] + ground[1]), (ground[1] - ground[0]) / (self.b * self.get("track_width", "scale", 1.0))
         vy = -self.get("side_slip", "k", 0.0) * v * w
