@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import hmac
-from urllib.parse import urlsplit
+from urllib.parse import urlencode, urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.exceptions import HTTPException
 from starlette.requests import HTTPConnection, Request
 from starlette.responses import RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -122,7 +123,7 @@ class Guard:
         request = Request(scope)
         if isinstance(found, errors.UnauthorizedError) and errors.wants_page(request):
             query = f"?{request.url.query}" if request.url.query else ""
-            return RedirectResponse(request.url_for("login").include_query_params(next=path + query), 303)
+            return RedirectResponse(f"/login?{urlencode({'next': path + query})}", 303)
         return errors.response(request, errors.problem_of(found, path))
 
 
@@ -156,7 +157,7 @@ def limit_body(scope: Scope, receive: Receive) -> Receive:
         message = await receive()
         seen += len(message.get("body", b""))
         if seen > SMALL_BODY:
-            raise _too_large(seen)
+            raise HTTPException(413, _too_large(seen).message)  # of other errors here FastAPI makes a 400
         return message
 
     return counted
