@@ -26,7 +26,9 @@ def open_folder(path: Path, opening: Opening) -> RunSource:
     """A run folder."""
     files = {file.name: file for file in sorted(path.iterdir()) if not file.name.startswith(".")}
     folders = [name for name, file in files.items() if file.is_dir()]
-    source = open_files({n: f for n, f in files.items() if n not in folders}, opening, path.name, "folder")
+    source = open_files(
+        {n: f for n, f in files.items() if n not in folders}, opening, opening.name or path.resolve().name, "folder"
+    )
     source.found += [f"folder {name!r} was ignored" for name in folders]
     return source
 

@@ -21,6 +21,10 @@ import polars as pl
 
 HOURS, RATE = 12, 384
 ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+
+from app.ingest import IngestOptions, ingest_file  # noqa: E402
+from core.formats import open_run  # noqa: E402
 
 
 def make(folder: Path) -> None:
@@ -47,8 +51,6 @@ def polars_parquet(folder: Path) -> int:
 
 def read(run: Path, out: Path | None = None) -> int:
     """Our reader with all its checks; with `out`, hashing and raw column files too."""
-    from core.formats import open_run
-
     rows = 0
     with open_run(run) as source:
         for stream in source.streams():
@@ -71,8 +73,6 @@ def write_columns(folder: Path, suffix: str) -> int:
 
 def store(folder: Path) -> int:
     """The whole import, as the dashboard does it."""
-    from app.ingest import IngestOptions, ingest_file
-
     with tempfile.TemporaryDirectory(dir=folder) as data:
         ingest_file(Path(data), folder / "csv" / "imu.csv", IngestOptions("imu.csv"))
     return HOURS * 3600 * RATE
@@ -100,7 +100,6 @@ def measure(folder: Path, part: str) -> dict[str, float]:
 
 
 def run_part(folder: Path, part: str) -> None:
-    sys.path.insert(0, str(ROOT))
     start = time.perf_counter()
     rows = PARTS[part](folder)
     seconds = time.perf_counter() - start
