@@ -231,8 +231,8 @@ class CsvTable:
                         found=f"more than {block:,} bytes",
                     )
         buffer = bytearray(QUOTE_BUFFER)  # one, reused: fresh ones cost more than the search
-        with self.path.open("rb", buffering=0) as f:
-            while n := f.readinto(buffer):
+        with self.path.open("rb", buffering=0) as raw:
+            while n := raw.readinto(buffer):
                 if buffer.find(b'"', 0, n) >= 0:
                     return True
         return False
