@@ -62,7 +62,7 @@ export function axes({ clock, log, ink, grid, font, showTime, valueWidth }) {
   if (!showTime) Object.assign(x, { ticks: { show: false }, values: (u, splits) => splits.map(() => "") });
   else if (clock) x.values = (u, splits, i, space, step) => splits.map((t) => timeText(t, step, timeSpan));
   if (clock) x.incrs = TIMES;
-  const y = { ...base, size: valueWidth, space: 18 };
+  const y = { ...base, size: valueWidth, space: (u, i, lo, hi, height) => Math.max(18, height / 9) };
   const plain = (u, splits, i, space, step) => splits.map((v) => (v === null ? "" : tick(v, step)));
   const powers = (u, splits) => splits.map((v) => (v === null ? "" : number(v)));
   y.values = log.y ? powers : plain;

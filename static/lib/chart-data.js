@@ -79,13 +79,13 @@ export function settledExtent(readings, [lo, hi]) {
   return [a - room, b + room];
 }
 
-// Two sigma of a band, but never so wide that the lines inside turn flat.
-export function bandExtent({ t, mid, sd }, range, lines) {
+// Two sigma of a band, but beyond the lines only by a share of their extent, lest they turn flat.
+export function bandExtent({ t, mid, sd }, range, lines, share) {
   const lo = extent({ t, y: mid.map((m, i) => (m === null || sd[i] === null ? null : m - 2 * sd[i])) }, range);
   const hi = extent({ t, y: mid.map((m, i) => (m === null || sd[i] === null ? null : m + 2 * sd[i])) }, range);
   if (!lo || !hi) return null;
   if (!lines) return [lo[0], hi[1]];
-  const room = 2 * Math.max(lines[1] - lines[0], 1e-12);
+  const room = share * Math.max(lines[1] - lines[0], 1e-12);
   return [Math.max(lo[0], lines[0] - room), Math.min(hi[1], lines[1] + room)];
 }
 

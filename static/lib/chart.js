@@ -180,7 +180,7 @@ export function createChart(host, spec) {
     return {
       width: frame.plot.clientWidth,
       height: frame.plot.clientHeight,
-      padding: [8, 10, showTime ? 0 : 2, 0],
+      padding: [8, clock.full[1] > 3600 ? 24 : 15, showTime ? 0 : 7, 0],
       cursor: { show: false },
       legend: { show: false },
       scales: {
@@ -218,7 +218,7 @@ export function createChart(host, spec) {
     offScale = Boolean(settled && all && (all[0] < settled[0] || all[1] > settled[1]));
     if (offScale) all = [Math.max(all[0], settled[0]), Math.min(all[1], settled[1])];
     const lines = all;
-    for (const band of chart.bands) widen(bandExtent(band, clock.range, lines));
+    for (const band of chart.bands) widen(bandExtent(band, clock.range, lines, spec.settle ? 0.3 : 2));
     if (all && spec.zero && (!lines || lines[0] >= 0)) all = [Math.max(all[0], 0), all[1]];
     if (!all) return log.y ? [0.1, 10] : [-1, 1];
     if (log.y) return [all[0] / 1.3, all[1] * 1.3];
@@ -267,7 +267,7 @@ export function createChart(host, spec) {
       shown += current.readings.get(s.key).shown;
     }
     frame.sampling.textContent = total ? (shown < total ? `${count(shown)} of ${count(total)} points` : `all ${count(total)} points`) : "no readings here";
-    if (offScale) frame.sampling.textContent += " · extremes off scale";
+    if (offScale) frame.sampling.prepend("peaks cut · ");
     const [a, b] = clock.range;
     const names = chart.visibleSeries.map((s) => s.label).join(", ") || "nothing shown";
     frame.plot.setAttribute(

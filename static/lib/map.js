@@ -30,7 +30,7 @@ export function createMap(host, { clock, subject = "", fileName = "path" }) {
   const base = h("canvas", { class: "map-canvas" });
   const top = h("canvas", { class: "map-canvas map-top", tabindex: "0", role: "img", "aria-label": "Map of the paths" });
   const tip = h("div", { class: "map-tip", hidden: true });
-  const ellipses = h("button", { type: "button", class: "map-tool", "aria-pressed": "false", "data-hint": "Ellipses along the paths: 95 % where the claimed uncertainty is right" }, toolIcon("M10 5c5 0 8 2 8 5s-3 5-8 5-8-2-8-5 3-5 8-5zM10 10h.1"));
+  const ellipses = h("button", { type: "button", class: "map-tool", "aria-pressed": "false", "data-hint": "Ellipses along the leading path: 95 % where the claimed uncertainty is right" }, toolIcon("M10 5c5 0 8 2 8 5s-3 5-8 5-8-2-8-5 3-5 8-5zM10 10h.1"));
   const fitButton = h("button", { type: "button", class: "map-tool", "aria-label": "Fit", "data-hint": "Fit all paths (Home)" }, toolIcon("M3 7V3h4M13 3h4v4M17 13v4h-4M7 17H3v-4"));
   ellipses.setAttribute("aria-label", "Ellipses along the paths");
   const tools = h("div", { class: "map-tools" }, fitButton, ellipses, exportMenu("map", TOOLS, tool));
@@ -130,7 +130,9 @@ export function createMap(host, { clock, subject = "", fileName = "path" }) {
     const shown = map.shown;
     for (const path of shown) if (path.dots) draw.drawPath(ctx, view, path, clock.range);
     if (ellipses.getAttribute("aria-pressed") === "true") {
-      for (const path of shown) if (path.sd_x && !path.dots) draw.drawEllipsesAlong(ctx, view, path, clock.range);
+      const claiming = shown.filter((p) => p.sd_x && !p.dots); // one method's: those of several hide each other
+      const path = claiming.find((p) => p.method === lead) ?? claiming[0];
+      if (path) draw.drawEllipsesAlong(ctx, view, path, clock.range);
     }
     for (const path of shown) if (!path.dots) draw.drawPath(ctx, view, path, clock.range);
     for (const path of shown) draw.drawEnds(ctx, view, path);
@@ -206,7 +208,7 @@ export function createMap(host, { clock, subject = "", fileName = "path" }) {
       h("span", {}, `${timeText(path.t[index], 0.01, span)} ${timeUnit(span)}`),
       h("span", {}, `x ${number(value("x"))} m${spread("sd_x", length)}`),
       h("span", {}, `y ${number(value("y"))} m${spread("sd_y", length)}`),
-      value("theta") !== null && h("span", {}, `θ ${angle(value("theta")).text}${spread("sd_theta", angle)}`) || "",
+      value("theta") !== null && h("span", {}, `θ ${angle(wrapped(value("theta"))).text}${spread("sd_theta", angle)}`) || "",
     );
     tip.style.transform = `translate(${Math.min(x + 14, view.width - 190)}px, ${y > view.height - 110 ? y - 106 : y + 14}px)`;
   }
@@ -323,6 +325,10 @@ export function createMap(host, { clock, subject = "", fileName = "path" }) {
     }),
   );
   return map;
+}
+
+function wrapped(theta) {
+  return theta - 2 * Math.PI * Math.round(theta / (2 * Math.PI));
 }
 
 function toolIcon(path) {

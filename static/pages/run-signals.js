@@ -14,6 +14,14 @@ const STYLES = [
 ];
 const HUMAN = { rad: ["°", DEG], "rad/s": ["°/s", DEG] };
 const TURNS = ["turns", 1 / (2 * Math.PI)]; // wheels: what people count
+const GROUPS = {
+  "wheels rad": "wheel angles",
+  "imu rad/s": "turn rate",
+  "imu m/s²": "specific force",
+  "beacon m": "position of the tag",
+  "truth m": "reference position",
+  "ranges m": "distance to each beacon",
+};
 const SPARSE = new Set(["beacon", "ranges"]); // readings that nothing connects: dots
 
 // Columns of one unit share a plot: [{ id, unit, columns: [{ name, label, unit }] }].
@@ -92,7 +100,7 @@ function signalChart(cell, stream, plot, { run, clock, state, fileName }, showTi
   const dots = SPARSE.has(stream.name);
   const series = plot.columns.map((c, i) => ({
     key: c.name,
-    label: stream.name === "ranges" ? c.name : c.label,
+    label: c.name,
     help: c.label,
     csv: `${stream.name}.${c.name}`,
     width: 1.1,
@@ -102,7 +110,7 @@ function signalChart(cell, stream, plot, { run, clock, state, fileName }, showTi
   const names = plot.columns.map((c) => c.name);
   return createChart(cell, {
     id: plot.id,
-    title: stream.name === "ranges" ? "range" : names.join(", "),
+    title: names.length > 1 || stream.name === "ranges" ? (GROUPS[`${stream.name} ${plot.unit}`] ?? names.join(", ")) : plot.columns[0].label,
     subject: `${run.name} · ${stream.name}`,
     compact: true,
     help: plot.columns.map((c) => `${c.name}: ${c.label} [${c.unit}]`).join("; "),

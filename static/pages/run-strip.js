@@ -172,7 +172,7 @@ export function mountStrip(host, clock) {
   follow.addEventListener("click", () => clock.setFollow(!clock.follow));
   all.addEventListener("click", () => clock.resetRange());
   keys("Run", {
-    " ": ["play, pause", () => clock.toggle()],
+    " ": ["play, pause", () => clock.toggle(), "space"],
     ",": ["step back, forward", () => clock.step(-1), ", ."],
     ".": [null, () => clock.step(1)],
     "[": ["slower, faster", () => clock.slower(), "[ ]"],
