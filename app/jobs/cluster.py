@@ -45,6 +45,8 @@ class Cluster:
         self._client: Any = None
         self._local: Any = None
         self._busy: dict[str, str] = {}  # worker by task
+        self._warming: dict[str, Any] = {}  # Dask drops a task whose future nobody holds
+        self._warmed: set[str] = set()
         self._short_since: float | None = None  # since when workers are missing
         self.topic = f"driftscope-{secrets.token_hex(8)}"  # two dashboards may share one scheduler
 
@@ -127,15 +129,18 @@ class Cluster:
     def ended(self, key: str) -> None:
         """The task of that key has left its worker."""
         self._busy.pop(key, None)
+        self._warming.pop(key, None)
 
-    def warm(self, function: Callable[[], Any]) -> list[Any]:
-        """Run `function` once in every worker process there is."""
-        if not self.connected:
-            return []
-        return [
-            self._client.submit(function, workers=[address], key=f"warm-{secrets.token_hex(4)}", pure=False)
-            for address in self._free()
-        ]
+    def warm(self, function: Callable[[], Any], done: Callable[[str], None]) -> None:
+        """Run `function` in an idle worker that has not run it yet, if there is one; `done` is told the task's key."""
+        worker = next((address for address in self._free() if address not in self._warmed), None)
+        if worker is not None:
+            self._warmed.add(worker)
+            key = f"warm-{secrets.token_hex(4)}"
+            self._busy[key] = worker
+            future = self._client.submit(function, key=key, pure=False, workers=[worker], allow_other_workers=True)
+            self._warming[key] = future
+            future.add_done_callback(lambda _: done(key))
 
     def kill(self, key: str) -> None:
         """Stop a task that doesn't listen, by restarting the worker that runs it."""

@@ -198,8 +198,14 @@ class JobEngine:
         self._look = True
 
     def _prepare(self) -> None:
+        """Warm one worker after the other, so that a first upload finds the rest free."""
         if self._connect():
-            self._cluster.warm(tasks.warm)
+            self._cluster.warm(tasks.warm, lambda key: self._inbox.put(lambda: self._warmed(key)))
+
+    def _warmed(self, key: str) -> None:
+        self._cluster.ended(key)
+        self._look = True
+        self._prepare()
 
     def _connect(self) -> bool:
         if self._cluster.connected:
@@ -222,7 +228,7 @@ class JobEngine:
         if not self._connect():
             return
         room = self._cluster.room()
-        self._hurry = room == 0 and not self._attempts  # a worker is on its way back
+        self._hurry = room == 0 and not self._attempts  # a worker is on its way back, or warms up
         with reading(self._engine) as session:
             waiting = [job.id for job in jobs.next_queued(session, room)] if room else []
         for job_id in waiting:
