@@ -23,7 +23,7 @@ Flags = npt.NDArray[np.bool_]
 
 LOOSENESS = 3.0  # window variance over still variance that still counts as rest
 MIN_WINDOW = 5  # gyro samples
-LOUDEST = 0.05  # rad/s: noise above it is motion
+LOUDEST = 4.0  # times the sheet's noise that idle motors may shake; more is motion
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ def at_rest(run: Run, numbers: Assumptions) -> Rest:
     mean, variance, full = _window(imu, numbers.rest_time)
     asked = quiet & full
     learnt = float(np.sqrt(np.quantile(variance[asked], 0.25))) if asked.any() else 0.0
-    sd = max(float(sheet_sd), min(learnt, LOUDEST))
+    sd = float(np.clip(learnt, sheet_sd, LOUDEST * sheet_sd))
     return Rest(asked & (variance <= LOOSENESS * sd**2) & (np.abs(mean) <= numbers.rest_rate), sd)
 
 

@@ -27,6 +27,8 @@ N = 13
 WHEEL, FIX, RANGE, OUT = range(4)  # kinds of event, in the order they are taken at equal stamps
 NONE, ACCEPTED, REJECTED = range(3)
 
+SLIP_TIME = 0.5  # s: for how long wheels that disagreed with the gyro are not asked about turning
+
 
 class Constants(NamedTuple):
     """Numbers of one run, SI; q_ are variances per second or per metre, r_ of one reading."""
@@ -215,6 +217,10 @@ def _update(
         for i in range(n):
             P[i, single] = (g[i] - gain[i] * g[single]) * (r / known) + gain[i] * (r * gain[single])
             P[single, i] = P[i, single]
+    else:
+        for i in range(n):  # rounding must not add up to an asymmetry
+            for j in range(i):
+                P[i, j] = P[j, i]
     return nu * nu / variance, variance
 
 
@@ -246,12 +252,17 @@ def _gate_distance(x: Any, P: Any, n: int, z: float, since: float, jump: bool, c
 
 
 @njit(error_model="numpy")
-def _gate_turn(x: Any, P: Any, n: int, z: float, since: float, jump: bool, c: Any) -> tuple[float, int]:
-    """The wheels' cumulative turn. With a gyro a surprise is slip and that interval is dropped; else a manoeuvre."""
+def _gate_turn(x: Any, P: Any, n: int, z: float, since: float, jump: bool, refused: Any, c: Any) -> tuple[float, int]:
+    """The wheels' cumulative turn. With a gyro a surprise is slip: that interval and a while after it are dropped, as
+    slip fades in and out below the gate. Without one it is a manoeuvre."""
     nu = z - x[PHI]
     nis = nu * nu / (P[PHI, PHI] + c.r_turn)
-    if jump or (nis > c.gate1 and c.has_gyro != 0.0):
+    slips = nis > c.gate1 and c.has_gyro != 0.0
+    refused[WHEEL] = SLIP_TIME if slips else refused[WHEEL] - since
+    if jump or refused[WHEEL] > 0.0:
         _anchor(x, P, n, PHI, z, c.r_turn)
+        if not slips and not jump:
+            return nis, NONE
     elif nis > c.gate1:
         _add3(P, TH, PHI, B, 1.0, 1.0, -1.0 / max(since, 1e-3), nu * nu)
     return nis, REJECTED if jump or nis > c.gate1 else ACCEPTED
@@ -429,7 +440,7 @@ def run_filter(
                 _anchor(x, P, n, PHI, 0.0 if math.isnan(a[1]) else a[1], c.r_turn)
             nis[e, 0], status[e, 0] = _gate_distance(x, P, n, a[0], a[2], flags[e, 1], c)
             if not math.isnan(a[1]):
-                nis[e, 1], status[e, 1] = _gate_turn(x, P, n, a[1], a[2], flags[e, 1], c)
+                nis[e, 1], status[e, 1] = _gate_turn(x, P, n, a[1], a[2], flags[e, 1], refused, c)
             _measure(kind[e], a, x, P, n, resting, refused, c, keep, work, P_old)
         elif kind[e] != OUT:
             nis[e, 0], nis[e, 1], status[e, 0] = _measure(kind[e], a, x, P, n, resting, refused, c, keep, work, P_old)

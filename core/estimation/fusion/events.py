@@ -123,8 +123,8 @@ def _turns(run: Run, numbers: Assumptions, rest: Rest | None, t: Array) -> tuple
     known = np.maximum(newest, 0)
     age = np.where(newest >= 0, t - stamps[known], 0.0)
     turned = np.where(newest >= 0, full[known] + gz[known] * np.minimum(age, hold), 0.0)
-    blind = np.maximum(age - 2 * hold, 0.0) if hold > 0 else np.zeros(len(t))
-    unseen = np.cumsum(np.where(pause, np.maximum(dt - 2 * hold, 0.0), 0.0))[known] + blind
+    blind = np.where(age > 2 * hold, age - hold, 0.0) if hold > 0 else np.zeros(len(t))
+    unseen = np.cumsum(np.where(pause, np.maximum(dt - hold, 0.0), 0.0))[known] + blind
     early = np.where(newest < 0, t - stamps[0], 0.0)  # before the first reading
     ignorance = numbers.pause_rate**2 * np.maximum(np.diff(unseen + early, prepend=(unseen + early)[:1]), 0.0)
     return np.diff(turned, prepend=turned[:1]), ignorance, rest.flags[known] & (newest >= 0)

@@ -99,7 +99,7 @@ def _constants(run: Run, numbers: Assumptions, rest: Rest | None) -> object:
     step = encoder_quantum(run, numbers) * float(robot.wheel_radius or 0.0)
     inverse_track = 1.0 / robot.track_width if robot.track_width else 0.0
     rate = run.imu.rate if rest is not None and run.imu is not None else 0.0
-    return Constants(
+    constants = Constants(
         has_gyro=float(rest is not None),
         inverse_track=inverse_track,
         tag_x=robot.tag.x,
@@ -127,6 +127,7 @@ def _constants(run: Run, numbers: Assumptions, rest: Rest | None) -> object:
         patience=numbers.reaccept,
         patience_rest=numbers.reaccept * rate / 2,
     )
+    return Constants(*(float(value) for value in constants))  # one type, so that it is compiled once
 
 
 def _parameters(walk: Walk) -> dict[str, Value]:

@@ -114,7 +114,6 @@ def _from_fixes(run: Run, events: Events, rows: npt.NDArray[np.intp], numbers: A
     )
     if sd >= 0.5:
         note = f"Heading not observable: the robot hardly moved while fixes came, its sd is {sd:.2g} rad."
-        count = min(4, most)
     return Start(pose, P, rows[:count], (note,))
 
 
