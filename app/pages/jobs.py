@@ -47,10 +47,10 @@ def sentence(counts: Counter[str]) -> str:
 def jobs(request: Request) -> Response:
     with reading(request.app.state.engine) as session:
         by_state = select(Job.state, func.count()).group_by(Job.state)
-        counts = Counter(dict(session.execute(by_state).tuples().all()))
+        counts = Counter(dict(session.execute(by_state).all()))
         rows = store.list_jobs(session, limit=SHOWN)
         runs = {job.run_id for job in rows} | {(job.result or {}).get("run_id") for job in rows}
-        names = dict(session.execute(select(Run.id, Run.name).where(Run.id.in_(runs - {None}))).tuples().all())
+        names = dict(session.execute(select(Run.id, Run.name).where(Run.id.in_(runs - {None}))).all())
         listed = [{**store.as_dict(job), "run_name": names.get(_run_of(job) or ""), "file": _file(job)} for job in rows]
     return render(request, JobsPage("Jobs", sentence(counts), dict(counts), listed))
 

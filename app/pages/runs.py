@@ -9,10 +9,12 @@ from typing import Annotated, Any, ClassVar
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import RedirectResponse
 from sqlalchemy import func, select
+from sqlalchemy.orm import Session
 
 from app.api.runs import summary
 from app.db.session import reading
 from app.db.tables import Run
+from app.figures.units import length
 from app.pages.base import Page, render, route
 from app.store.run_list import MAX_LIMIT, RunPage, RunQuery, list_runs
 from core.formats.mapping import UNITS
@@ -38,21 +40,27 @@ def _some(n: int, what: str) -> str:
     return f"{n:,} {what}" if n == 1 else f"{n:,} {what}s"
 
 
-def sentence(page: RunPage, stored: int, q: str) -> str:
-    """What a colleague could repeat of the list."""
+def sentence(page: RunPage, stored: int, q: str, best: Run | None) -> str:
+    """What a colleague could repeat of the list; `best` is the run whose path is closest to its truth."""
     if stored == 0:
         return "No runs yet: drop a recording here and see where the robot was, by every method."
-    if page.total == 0:
-        return f"None of {_some(stored, 'run')} matches."
+    if q:
+        if page.total == 0:
+            return f"None of {_some(stored, 'run')} matches."
+        return f"{page.total:,} of {_some(stored, 'run')} {'matches' if page.total == 1 else 'match'}."
     robots, truth = len(page.facets["robots"]), page.facets["streams"].get("truth", 0)
-    head = f"{page.total:,} of {_some(stored, 'run')} match" if q else _some(page.total, "run")
-    if page.total == 1 and q:
-        head = f"One of {_some(stored, 'run')} matches"
-    of_robots = (
-        f" of {_some(robots, 'robot')}" if robots and not q else f", of {_some(robots, 'robot')}" if robots else ""
-    )
-    measured = f"{'all' if truth == page.total else f'{truth:,}'} with a truth to be measured against"
-    return f"{head}{of_robots}, {measured if truth else 'none with a truth to be measured against'}."
+    head = f"{_some(page.total, 'run')} of {_some(robots, 'robot')}" if robots else _some(page.total, "run")
+    if truth == 0:
+        return f"{head}, none with a truth to be measured against."
+    measured = f"{head}, {'all' if truth == page.total else f'{truth:,}'} with a truth to be measured against"
+    if best is None or best.best_ate_m is None:
+        return f"{measured}."
+    return f"{measured}; the best path is {length(best.best_ate_m)} off, “{best.name}” by {best.best_method}."
+
+
+def _best(session: Session) -> Run | None:
+    judged = select(Run).where(Run.deleted_at.is_(None), Run.best_ate_m.is_not(None))
+    return session.scalars(judged.order_by(Run.best_ate_m).limit(1)).unique().first()
 
 
 def mapping_catalogue() -> dict[str, Any]:
@@ -82,6 +90,7 @@ def runs(
         page = list_runs(session, RunQuery(q=q, sort=sort, limit=limit))
         stored = session.scalar(select(func.count()).select_from(Run).where(Run.deleted_at.is_(None))) or 0
         items = [summary(run) for run in page.items]
+        said = sentence(page, stored, q, None if q else _best(session))
     data = {
         "q": q,
         "sort": sort,
@@ -96,7 +105,7 @@ def runs(
     catalogue = mapping_catalogue()
     if not request.url.path.endswith(".json"):
         data["mapping"] = catalogue
-    return render(request, RunsPage("Runs", sentence(page, stored, q), stored, data, catalogue["streams"]))
+    return render(request, RunsPage("Runs", said, stored, data, catalogue["streams"]))
 
 
 @router.get("/", include_in_schema=False)

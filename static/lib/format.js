@@ -88,10 +88,10 @@ export function when(iso) {
 
 const BY_UNIT = { m: length, rad: angle, "rad/s": turnRate, "rad/√s": walk, s: seconds, Hz: hertz, "%": percent };
 
-/** A value of the API with its SI unit, at the edge. `m/m` and `rad/m` (relative errors) are per cent and °/m. */
-export function quantity(value, unit) {
-  if (unit === "m/m") return made(value, 100, "%", "m/m");
-  if (unit === "rad/m") return made(value, DEG, "°/m", "rad/m");
+/** A value of the API with its SI unit, at the edge. A gyro's bias is told per hour: `name` says that it is one. */
+export function quantity(value, unit, name = "") {
+  if (name.startsWith("bias")) return bias(value);
+  if (unit === "" && Number.isInteger(value)) return { text: count(value), value: count(value), unit: "", si: "" };
   return BY_UNIT[unit]?.(value) ?? made(value, 1, unit ?? "", unit ?? "");
 }
 

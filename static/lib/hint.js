@@ -18,7 +18,7 @@ function content(element) {
     known?.formula && h("div", { class: "formula" }, known.formula),
     words && h("div", {}, words),
     element.dataset.si && h("div", { class: "si" }, element.dataset.si),
-    known && h("a", { href: known.guide }, "In the guide"),
+    known?.guide && h("a", { href: known.guide }, "In the guide"),
   ].filter(Boolean);
 }
 

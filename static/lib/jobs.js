@@ -53,7 +53,7 @@ export function followJob(id, callback) {
   });
 }
 
-const KINDS = { ingest: "Reading", estimate: "Estimating" };
+const KINDS = { ingest: "Read file", estimate: "Estimate" };
 export const jobLabel = (job) => KINDS[job.kind] ?? job.kind;
 
 function jobRow(job) {

@@ -7,6 +7,7 @@ import { duration, quantity, show } from "../lib/format.js";
 import { keys } from "../lib/keys.js";
 import { createMap } from "../lib/map.js";
 import { methodStyle, swatch } from "../lib/methods.js";
+import { term } from "../lib/terms.js";
 import { createTimeCursor } from "../lib/timecursor.js";
 
 const DASHES = [[], [7, 3], [2, 3], [9, 3, 2, 3], [12, 4], [4, 2], [1, 3], [6, 2, 1, 2, 1, 2]];
@@ -143,7 +144,7 @@ function headRow(label) {
   return h("thead", {}, h("tr", {}, h("th", {}, label), runs.map((run) => h("th", { class: "num" }, h("span", { class: "row" }, letter(run), run.name)))));
 }
 
-const label = (name) => name.replaceAll("_", " ");
+const label = (name) => term(name)?.label ?? name.replace(/_(m|rad|s|rad_s)$/, "").replaceAll("_", " ");
 
 function metricRows() {
   const names = [...new Set(withPath.flatMap((run) => Object.keys(run.estimates[page.method].metrics)))];
@@ -152,12 +153,12 @@ function metricRows() {
     const found = cells.map((c) => c?.value ?? null);
     const numbers = found.filter((v) => v !== null);
     const best = ERRORS.has(name) && numbers.length > 1 ? Math.min(...numbers.map(Math.abs)) : null;
-    return { name, found, row: h("tr", { class: same(found) ? "same" : "", "data-metric": name }, h("td", {}, h("span", { "data-term": name }, label(name).replace(/ (m|rad|s|rad s)$/, ""))), cells.map((c) => h("td", { class: c && best !== null && Math.abs(c.value) === best ? "num best" : "num" }, c && c.value !== null ? show(quantity(c.value, c.unit)) : h("span", { class: "dim" }, "–")))) };
+    return { name, found, row: h("tr", { class: same(found) ? "same" : "", "data-metric": name }, h("td", {}, h("span", { "data-term": name }, label(name))), cells.map((c) => h("td", { class: c && best !== null && Math.abs(c.value) === best ? "num best" : "num" }, c && c.value !== null ? show(quantity(c.value, c.unit, name)) : h("span", { class: "dim" }, "–")))) };
   });
   const runtime = runs.map((run) => run.estimates[page.method]?.runtime_s ?? null);
-  if (!names.includes("runtime_s")) rows.push({ name: "runtime_s", found: runtime, row: h("tr", { "data-metric": "runtime_s" }, h("td", {}, h("span", { "data-term": "runtime_s" }, "run time")), runtime.map((v) => h("td", { class: "num" }, show(quantity(v, "s"))))) });
+  if (!names.includes("runtime_s")) rows.push({ name: "runtime_s", found: runtime, row: h("tr", { "data-metric": "runtime_s" }, h("td", {}, h("span", { "data-term": "runtime_s" }, label("runtime_s"))), runtime.map((v) => h("td", { class: "num" }, show(quantity(v, "s"))))) });
   const lengths = runs.map((run) => run.duration_s);
-  rows.push({ name: "duration_s", found: lengths, row: h("tr", { class: same(lengths) ? "same" : "" }, h("td", {}, h("span", { "data-term": "length" }, "length")), lengths.map((v) => h("td", { class: "num" }, show(duration(v))))) });
+  rows.push({ name: "duration_s", found: lengths, row: h("tr", { class: same(lengths) ? "same" : "" }, h("td", {}, h("span", { "data-term": "length" }, label("length"))), lengths.map((v) => h("td", { class: "num" }, show(duration(v))))) });
   return rows;
 }
 

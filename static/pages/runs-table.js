@@ -89,7 +89,7 @@ export function streamChips(streams) {
 function bestCell(run) {
   if (!run.best) return h("span", { class: "dim" }, "–");
   const label = methodStyle(run.best.method).label;
-  return [show(length(run.best.ate_rmse_m), "best_error"), h("span", { class: "best-method", "data-hint": `By ${label}.` }, swatch(run.best.method))];
+  return [h("span", { class: "best-method", "data-hint": `By ${label}.` }, swatch(run.best.method)), show(length(run.best.ate_rmse_m), "best_error")];
 }
 
 export class RunTable {

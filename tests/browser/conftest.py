@@ -19,7 +19,7 @@ from urllib.parse import urlsplit
 
 import httpx
 import pytest
-from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, Request, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, Request, expect, sync_playwright
 
 sys.path.insert(0, str(Path(__file__).parent))
 import install
@@ -33,7 +33,8 @@ FLAGS = [
     "--disable-dev-shm-usage",
     "--disable-background-networking",
 ]
-PATIENCE_MS = 30_000  # for what a slow, shared machine may take; nothing waits that long when it works
+PATIENCE_MS = 60_000  # for what a slow, shared machine may take; nothing waits that long when it works
+expect.set_options(timeout=PATIENCE_MS)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -99,9 +100,11 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
         process = subprocess.Popen(command, cwd=folder, env=environment, stdout=log, stderr=log)
     url = f"http://127.0.0.1:{port}"
     try:
-        with httpx.Client(base_url=url, timeout=60) as client:
+        with httpx.Client(base_url=url, timeout=180) as client:
             _wait_until_up(client, process, folder / "log")
-            yield Server(url, folder / "data", client)
+            ready = Server(url, folder / "data", client)
+            ready.upload(EXAMPLES / "square-with-disturbance", tags="square")  # the workers start with the first job
+            yield ready
     finally:
         process.terminate()
         try:
