@@ -163,10 +163,13 @@ export function createMap(host, { clock, subject = "", fileName = "path" }) {
     ctx.stroke();
   }
 
+  // The view moves on when the robot comes near its edge, not with every step: the paths need not be drawn each time.
   function follow() {
     const path = clock.follow && (paths.find((p) => p.method === lead) ?? map.shown.find((p) => !p.dots));
     const pose = path && poseAt(path, clock.time);
     if (!pose) return false;
+    const [dx, dy] = [Math.abs(pose.x - view.x), Math.abs(pose.y - view.y)];
+    if (dx * view.scale < 0.3 * view.width && dy * view.scale < 0.3 * view.height) return false;
     [view.x, view.y] = [pose.x, pose.y];
     return true;
   }

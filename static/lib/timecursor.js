@@ -137,7 +137,7 @@ export function createTimeCursor({ t0, t1 }) {
 
   function tick(now) {
     if (!clock.playing) return;
-    clock.setTime(clock.time + (clock.speed * Math.min(now - last, 250)) / 1000);
+    clock.setTime(clock.time + (clock.speed * Math.min(now - last, 1000)) / 1000);
     last = now;
     if (clock.time >= full[1]) {
       clock.pause();

@@ -10,17 +10,23 @@ const DEG = 180 / Math.PI;
 
 // `band`: the claimed deviation of this quantity, out of an estimate's columns; `around`: what the band lies about.
 export const QUANTITIES = {
-  "error-xy": { title: "Position error", term: "error_xy", column: "error_xy", unit: "m", si: "m", factor: 1, zero: true, band: ["sd_x", "sd_y"], absent: "No position error: this run has no truth to compare with." },
-  "error-theta": { title: "Heading error", term: "error_theta", column: "error_theta", unit: "°", si: "rad", factor: DEG, band: ["sd_theta"], absent: "No heading error: the truth has no heading." },
-  bias: { title: "Gyro bias", term: "gyro_bias", column: "bias", unit: "°/h", si: "rad/s", factor: DEG * 3600, band: ["bias_sd"], around: "bias", settle: true, absent: "No gyro bias: no method here estimates one." },
+  "error-xy": { title: "Position error", term: "error_xy", column: "error_xy", unit: "m", si: "m", factor: 1, zero: true, band: ["sd_x", "sd_y"], absent: (run) => `No position error: ${withoutTruth(run, "x", "positions")}.` },
+  "error-theta": { title: "Heading error", term: "error_theta", column: "error_theta", unit: "°", si: "rad", factor: DEG, band: ["sd_theta"], absent: (run) => `No heading error: ${withoutTruth(run, "theta", "heading")}.` },
+  bias: { title: "Gyro bias", term: "gyro_bias", column: "bias", unit: "°/h", si: "rad/s", factor: DEG * 3600, band: ["bias_sd"], around: "bias", settle: true, absent: (run) => `No gyro bias: ${run.streams.some((s) => s.name === "imu") ? "no method that ran estimates one" : "this run has no gyro"}.` },
 };
+
+function withoutTruth(run, column, what) {
+  const truth = run.streams.find((s) => s.name === "truth");
+  if (!truth) return "this run has no truth to compare with";
+  return truth.columns.some((c) => c.name === column) ? "no path gives one where there is truth" : `the truth has no ${what}`;
+}
 
 export function estimateChart(host, id, { run, clock, state, estimates, lead, fileName }, extra = {}) {
   const q = QUANTITIES[id];
   const having = estimates().filter((e) => e.columns.includes(q.column));
   if (!having.length) {
     host.classList.add("absent");
-    host.append(h("p", {}, q.absent));
+    host.append(h("p", {}, q.absent(run)));
     return null;
   }
   const series = having.map(({ method }) => {

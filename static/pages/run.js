@@ -38,18 +38,13 @@ let paths = null;
 let strip = null;
 
 function mountPath(host) {
-  if (!state.methods.some((m) => m.has)) {
+  if (!data.estimates.length) {
     const box = nothing();
     host.append(box);
     return { setEvents() {}, destroy: () => box.remove() };
   }
-  const parts = [];
   const multiples = mountMultiples(host, context);
-  if (data.estimates.length) {
-    parts.push(metricsTable({ estimates: data.estimates, methods: data.methods, fileName: context.fileName, runName: run.name }), methodNotes(data.estimates) ?? "");
-  } else {
-    parts.push(h("div", { class: "block" }, nothing()));
-  }
+  const parts = [metricsTable({ estimates: data.estimates, methods: data.methods, fileName: context.fileName, runName: run.name }), methodNotes(data.estimates) ?? ""];
   host.append(...parts);
   return {
     setEvents: multiples.setEvents,
