@@ -103,7 +103,8 @@ def _import(options: argparse.Namespace) -> int:
             try:
                 run = store.add(_existing(name), _progress(name))
             except DriftscopeError as error:
-                status = _complain(f"{name}: {error.message}", _status(error))
+                named = error.message if Path(name).name in error.message else f"{name}: {error.message}"
+                status = _complain(named, _status(error))
                 continue
             stored.append(run)
             if options.json != "-":
