@@ -47,7 +47,7 @@ export function mountScene(container, runId, clock, { methods = null, query = ""
     if (!entries.some((entry) => entry.isIntersecting)) return;
     sight.disconnect();
     requestAnimationFrame(() => setTimeout(open, 0));
-  });
+  }, { rootMargin: "400px" });
   sight.observe(container);
   const forgetClock = clock.subscribe(moved);
   const forgetTheme = onThemeChange(() => send({ theme: theme() }));
