@@ -41,6 +41,12 @@ export function roundStep(least) {
   return [1, 2, 5, 10].map((m) => m * power).find((s) => s >= least * 0.999);
 }
 
+// What is noisy lies at the bottom, then solid lines; dashes on top of them still show what lies below.
+export function inDrawOrder(lines) {
+  const rank = (line) => ((line.method ?? line.key) === "beacon" ? 0 : line.dash.length ? 2 : 1);
+  return [...lines].sort((a, b) => rank(a) - rank(b));
+}
+
 export function bounds(paths, points) {
   const box = { x0: Infinity, x1: -Infinity, y0: Infinity, y1: -Infinity };
   const take = (x, y) => {

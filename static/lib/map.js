@@ -16,7 +16,7 @@ import { length, angle } from "./format.js";
 import { gestures } from "./gestures.js";
 import * as draw from "./map-draw.js";
 import { mapSvg } from "./map-svg.js";
-import { bounds, createView, nearest, poseAt } from "./map-view.js";
+import { bounds, createView, inDrawOrder, nearest, poseAt } from "./map-view.js";
 import { colour, onThemeChange } from "./palette.js";
 
 const TOOLS = [
@@ -134,7 +134,7 @@ export function createMap(host, { clock, subject = "", fileName = "path" }) {
       const path = claiming.find((p) => p.method === lead) ?? claiming[0];
       if (path) draw.drawEllipsesAlong(ctx, view, path, clock.range);
     }
-    for (const path of shown) if (!path.dots) draw.drawPath(ctx, view, path, clock.range);
+    for (const path of inDrawOrder(shown.filter((p) => !p.dots))) draw.drawPath(ctx, view, path, clock.range);
     for (const path of shown) draw.drawEnds(ctx, view, path);
     draw.drawBeacons(ctx, view, beacons);
     const carrier = shown.find((p) => p.method === events.method) ?? shown.find((p) => !p.dots);

@@ -4,6 +4,7 @@ import { api, query } from "../lib/api.js";
 import { createChart } from "../lib/chart.js";
 import { lowerBound } from "../lib/chart-data.js";
 import { h } from "../lib/dom.js";
+import { inDrawOrder } from "../lib/map-view.js";
 import { methodStyle } from "../lib/methods.js";
 
 const DEG = 180 / Math.PI;
@@ -24,11 +25,6 @@ function withoutTruth(run, column, what) {
 export function estimateChart(host, id, { run, clock, state, estimates, lead, fileName }, extra = {}) {
   const q = QUANTITIES[id];
   const having = estimates().filter((e) => e.columns.includes(q.column));
-  if (!having.length) {
-    host.classList.add("absent");
-    host.append(h("p", {}, q.absent(run)));
-    return null;
-  }
   const series = having.map(({ method }) => {
     const { label, color, dash, width } = methodStyle(method);
     return { key: method, label, color, dash, width, on: state.isVisible(method), csv: `${method} ${q.column}` };
@@ -45,7 +41,7 @@ export function estimateChart(host, id, { run, clock, state, estimates, lead, fi
     subject: run.name,
     fileName,
     clock,
-    series,
+    series: inDrawOrder(series),
     bandFor: (visible) => [lead(), "smoothed", "fused", ...visible].find((m) => visible.includes(m) && hasBand(having, m, q)),
     onToggle: (key) => state.toggle(key),
     load: (wish) => load(having, q, wish),
@@ -94,15 +90,20 @@ export function mountMultiples(host, context) {
   const cells = new Map();
   const grid = h("div", { class: "multiples" });
   host.append(grid);
-  for (const id of Object.keys(QUANTITIES)) {
+  const absent = h("p", { class: "dim multiples-absent" });
+  for (const [id, q] of Object.entries(QUANTITIES)) {
+    if (!context.estimates().some((e) => e.columns.includes(q.column))) {
+      absent.append(`${q.absent(context.run)} `);
+      continue;
+    }
     const cell = h("div", { class: "multiple", "data-multiple": id });
     grid.append(cell);
     cells.set(id, cell);
-    const chart = estimateChart(cell, id, context, { onEnlarge: () => state.set("big", state.big === id ? null : id) });
-    if (chart) charts.push(chart);
+    charts.push(estimateChart(cell, id, context, { onEnlarge: () => state.set("big", state.big === id ? null : id) }));
   }
+  if (absent.textContent) host.append(absent);
   const size = () => {
-    for (const [id, cell] of cells) cell.classList.toggle("enlarged", state.big === id && !cell.classList.contains("absent"));
+    for (const [id, cell] of cells) cell.classList.toggle("enlarged", state.big === id);
   };
   size();
   const off = state.subscribe((what, method) => {
@@ -115,6 +116,7 @@ export function mountMultiples(host, context) {
       off();
       for (const chart of charts) chart.destroy();
       grid.remove();
+      absent.remove();
     },
   };
 }

@@ -45,12 +45,12 @@ export function metricsTable({ estimates, methods, fileName, runName }) {
   }
 
   function paint() {
-    const best = Object.fromEntries(columns.map(([name, , end]) => [name, bestOf(rows.map((e) => value(e, name)), end)]));
+    const best = Object.fromEntries(columns.map(([name, , end]) => [name, bestText(rows.map((e) => value(e, name)), end, units[name])]));
     body.replaceChildren(...rows.map(row), ...missing.map(absent));
     function row(e) {
       const cells = columns.map(([name]) => {
         const v = value(e, name);
-        const marked = rows.length > 1 && v !== null && best[name] === v;
+        const marked = v !== null && best[name] === quantity(v, units[name]).text;
         return h("td", { class: marked ? "num best" : "num" }, shown(name, v, units[name]));
       });
       return h("tr", { "data-method": e.method }, h("th", { scope: "row" }, methodSwatch(e.method), methodStyle(e.method).label), cells);
@@ -87,10 +87,13 @@ function shown(name, v, unit) {
   return show(quantity(v, unit), name);
 }
 
-function bestOf(values, end) {
+// The best value as it reads; none where all read the same: what the eye cannot tell apart is not ranked.
+function bestText(values, end, unit) {
   const known = values.filter((v) => v !== null);
   if (!end || known.length < 2) return undefined;
-  return end === "low" ? Math.min(...known) : known.reduce((a, b) => (Math.abs(b) < Math.abs(a) ? b : a));
+  const best = end === "low" ? Math.min(...known) : known.reduce((a, b) => (Math.abs(b) < Math.abs(a) ? b : a));
+  const texts = new Set(known.map((v) => quantity(v, unit).text));
+  return texts.size > 1 ? quantity(best, unit).text : undefined;
 }
 
 function toCsv(rows, columns, value, units) {
