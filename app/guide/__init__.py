@@ -68,7 +68,7 @@ def source(name: str) -> str:
 def _mathml(text: str, options: dict[str, Any]) -> str:
     from latex2mathml.converter import convert
 
-    return convert(text, display="block" if options["display_mode"] else "inline")
+    return str(convert(text, display="block" if options["display_mode"] else "inline"))
 
 
 def _highlight(code: str, language: str, _attrs: str) -> str:
@@ -81,7 +81,7 @@ def _highlight(code: str, language: str, _attrs: str) -> str:
         lexer = get_lexer_by_name(language.split()[0] if language else "text")
     except ClassNotFound:
         return ""
-    return highlight(code, lexer, HtmlFormatter(nowrap=True))
+    return str(highlight(code, lexer, HtmlFormatter(nowrap=True)))
 
 
 def _parser() -> MarkdownIt:
