@@ -156,6 +156,7 @@ class Viewer:
         self._panels: dict[int, Panel] = {}
         self._listeners: list[Listener] = []
         self._timer: asyncio.TimerHandle | None = None
+        self._due = 0.0  # of the next tick, on the loop's clock
 
     @property
     def idle(self) -> bool:
@@ -259,7 +260,8 @@ class Viewer:
         for panel in self._panels.values():
             panel.show(self.cursor, t)
         if not self.idle:
-            self._timer = self._loop.call_later(TICK, self._tick)
+            self._due = max(self._due + TICK, self._loop.time())
+            self._timer = self._loop.call_at(self._due, self._tick)
 
 
 def _plain(pose: tuple[float, float, float]) -> list[float | None]:
