@@ -297,8 +297,13 @@ export function createChart(host, spec) {
 
   function attach(over) {
     over.append(frame.timeLine, frame.hoverLine, frame.selection);
-    const time = (x) => plot.posToVal(x, "x");
     const width = () => over.clientWidth;
+    // From the clock, not from the plot: several moves may come before the plot is drawn again.
+    const time = (x) => {
+      const [lo, hi] = clock.range;
+      const share = x / width();
+      return log.x ? lo * (hi / lo) ** share : lo + (hi - lo) * share;
+    };
     gestures(over, {
       hover: (x) => clock.setHover(time(x)),
       leave: () => clock.setHover(null),

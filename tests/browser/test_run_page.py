@@ -129,6 +129,37 @@ def counts(page: Page, chart: str) -> tuple[float, float]:
     return numbers[0], numbers[-1]
 
 
+def test_two_fingers_zoom_and_one_pans(new_page: Callable[..., Page], mission: dict[str, Any]) -> None:
+    page = new_page(has_touch=True, viewport={"width": 820, "height": 1180})
+    open_run(page, mission, "tab=signals")
+    chart = '[data-chart="commands-v"]'
+    ready(page, chart)
+    x, y, width, height = box_of(page, f"{chart} .u-over")
+    devtools = page.context.new_cdp_session(page)
+
+    def touch(kind: str, *shares: float) -> None:
+        points = [{"x": x + s * width, "y": y + height / 2, "id": i} for i, s in enumerate(shares)]
+        devtools.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    touch("touchStart", 0.45)
+    touch("touchStart", 0.45, 0.55)
+    touch("touchMove", 0.35, 0.65)
+    touch("touchMove", 0.3, 0.7)
+    touch("touchEnd")
+    page.wait_for_function("c => !document.querySelector(c).dataset.range.startsWith('0,')", arg=chart)
+    zoomed = range_of(page, chart)
+    assert zoomed[1] - zoomed[0] < mission["duration_s"] / 2.5  # the browser may merge the last moves
+    touch("touchStart", 0.5)
+    touch("touchMove", 0.4)
+    touch("touchMove", 0.3)
+    touch("touchEnd")
+    page.wait_for_function(
+        "([c, n]) => Number(document.querySelector(c).dataset.range.split(',')[0]) > n", arg=[chart, zoomed[0] + 1]
+    )
+    panned = range_of(page, chart)
+    assert panned[1] - panned[0] == pytest.approx(zoomed[1] - zoomed[0])
+
+
 def test_one_range_for_all_plots(page: Page, mission: dict[str, Any]) -> None:
     open_run(page, mission)
     ready(page, ERROR)
