@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import os
 import signal
 import socket
 import sys
+from collections.abc import Iterator
+from pathlib import Path
 from types import FrameType
 
 import uvicorn
@@ -74,11 +77,22 @@ def listen(settings: Settings) -> socket.socket:
         raise OSError(f"cannot listen on {where}: {error.strerror or error}") from None
 
 
+@contextlib.contextmanager
+def sole_server(data: Path) -> Iterator[None]:
+    """Hold the data folder for this process; OSError where another server has it: each would run the other's jobs."""
+    with (data / "server.lock").open("a") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise OSError(f"the data folder {data} is in use by another server: stop it, or choose --data") from None
+        yield
+
+
 def serve(settings: Settings) -> int:
     """Serve until told to stop (SIGINT, SIGTERM); the exit status."""
     signal.signal(signal.SIGTERM, _leave)
-    with listen(settings) as sock:
-        settings.data.mkdir(parents=True, exist_ok=True)
+    settings.data.mkdir(parents=True, exist_ok=True)
+    with sole_server(settings.data), listen(settings) as sock:
         server = Server(settings, greet=True)
         with contextlib.suppress(KeyboardInterrupt, SystemExit):  # raised by uvicorn once it has stopped
             server.run(sockets=[sock])

@@ -16,7 +16,7 @@ import httpx
 import psutil
 import pytest
 
-from app.serve import GRACE_S
+from app.serve import GRACE_S, sole_server
 
 ROOT = Path(__file__).resolve().parents[2]
 CIRCLE = ROOT / "tests" / "data" / "optiodom-circle"
@@ -80,3 +80,13 @@ def test_a_port_in_use_is_told_in_one_line(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert done.stderr == f"driftscope: 127.0.0.1:{port} is in use: stop what listens there, or choose another --port\n"
     assert not (tmp_path / "data").exists()
+
+
+def test_a_second_server_on_the_same_data_is_refused(tmp_path: Path) -> None:
+    with sole_server(tmp_path):
+        done = subprocess.run(
+            [*COMMAND, str(tmp_path)], capture_output=True, text=True, cwd=ROOT, timeout=60, check=False
+        )
+    assert done.returncode == 1
+    assert "is in use by another server" in done.stderr
+    assert done.stderr.count("\n") == 1
