@@ -6,17 +6,25 @@ import numpy as np
 import numpy.typing as npt
 
 from core.errors import NotEnoughDataError
-from core.sensors import ImuLog
+from core.sensors import ImuLog, WheelLog
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 FASTEST_TURN = 100.0  # rad/s: beyond it a gyro reading is a fault
+FARTHEST_ANGLE = 1e9  # rad: beyond it a wheel reading is one
 
 
 def finite_rows(rows: Array) -> Flags:
     """(N,) rows without NaN or infinity."""
     return np.asarray(np.isfinite(rows).all(axis=1), np.bool_)
+
+
+def wheel_readings(wheels: WheelLog) -> tuple[Array, Array]:
+    """Left and right angles (N,) float64 [rad], missing readings filled linearly from their neighbours."""
+    left, right = (np.asarray(c, np.float64) for c in (wheels.left, wheels.right))
+    left, right = (np.where(np.abs(c) <= FARTHEST_ANGLE, c, np.nan) for c in (left, right))
+    return filled(wheels.t, left, "wheels.left"), filled(wheels.t, right, "wheels.right")
 
 
 def gyro_readings(imu: ImuLog) -> tuple[Array, Array]:

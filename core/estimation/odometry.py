@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from core.estimation.assumptions import Assumptions, Config, assume, encoder_quantum
-from core.estimation.cleaning import filled, gyro_readings
+from core.estimation.cleaning import gyro_readings, wheel_readings
 from core.estimation.rest import at_rest
 from core.estimation.result import Curve, Estimate
 from core.run import Run
@@ -34,7 +34,7 @@ class WheelPath:
 
 def wheel_path(wheels: WheelLog, radius: float, track: float | None) -> WheelPath:
     """Cumulative distance of the axle's midpoint and turn of the body, both 0 at the first stamp."""
-    left, right = filled(wheels.t, wheels.left, "wheels.left"), filled(wheels.t, wheels.right, "wheels.right")
+    left, right = wheel_readings(wheels)
     left, right = radius * (left - left[0]), radius * (right - right[0])
     turn = (right - left) / track if track else np.full(len(wheels), np.nan)
     return WheelPath(wheels.t, (left + right) / 2, turn)
@@ -76,9 +76,11 @@ def growth(pose: Array, var_d: Array, var_turn: Array, start: Array) -> Array:
     P[:, 1, 2] = x * w - wx
     P[:, 2, 2] = w
     P[:, 1, 0], P[:, 2, 0], P[:, 2, 1] = P[:, 0, 1], P[:, 0, 2], P[:, 1, 2]
-    J = np.broadcast_to(np.eye(3), P.shape).copy()
-    J[:, 0, 2], J[:, 1, 2] = -(y - y[0]), x - x[0]
-    return P + J @ start @ np.swapaxes(J, 1, 2)
+    if start.any():
+        J = np.broadcast_to(np.eye(3), P.shape).copy()
+        J[:, 0, 2], J[:, 1, 2] = -(y - y[0]), x - x[0]
+        P += np.einsum("nij,jk,nlk->nil", J, start, J, optimize=False)
+    return P
 
 
 def start_pose(run: Run) -> tuple[tuple[float, float, float], tuple[str, ...]]:

@@ -1,7 +1,7 @@
 """Compiled Kalman filter of `fused`: one time-sorted list of events in, poses and covariances out.
 
-State (13): x, y [m], theta [rad] of the body in the map; v [m/s]; b [rad/s], gyro bias, or minus the turn rate where
-there is no gyro; kg gyro scale; s [m], phi [rad], what the wheels should have told by now of distance and turn; kd
+State (13): x, y [m], theta [rad] of the body in the map; s [m], phi [rad], what the wheels should have told by now of
+distance and turn; v [m/s]; b [rad/s], gyro bias, or minus the turn rate where there is no gyro; kg gyro scale; kd
 distance scale, ke wheel inequality, kb track scale; kr range scale, br [m] range bias. Scales are errors, 0 is perfect.
 
 Between events   the turn is the gyro's, or that of b:  theta' = w = (gyro turn - b dt)(1 - kg)
@@ -10,7 +10,7 @@ Between events   the turn is the gyro's, or that of b:  theta' = w = (gyro turn 
 Measurements     are scalars, applied one after another; no matrix is inverted. `s` and `phi` are compared with
                  *cumulative* wheel readings, so the encoder's step is an error of each reading and does not add up.
 
-Covariances are full (13, 13) arrays; loops have few, short trip counts that the compiler vectorises.
+All in one file on purpose: the cache of compiled code looks at this file alone to see that it is out of date.
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-X, Y, TH, V, B, KG, S, PHI, KD, KE, KB, KR, BR = range(13)
+X, Y, TH, S, PHI, V, B, KG, KD, KE, KB, KR, BR = range(13)
 N = 13
+MOVING = 7  # the first states change between events; the others are constants of the robot
 
 WHEEL, FIX, RANGE, OUT = range(4)  # kinds of event, in the order they are taken at equal stamps
 NONE, ACCEPTED, REJECTED = range(3)
@@ -62,9 +63,17 @@ class Constants(NamedTuple):
 
 
 @njit(error_model="numpy")
-def _predict(
-    x: Any, P: Any, n: int, dt: float, raw: float, q_extra: float, resting: bool, silent: bool, c: Any
-) -> None:
+def _arc(half: float) -> tuple[float, float]:
+    """sin(h)/h, and its derivative by 2 h."""
+    if abs(half) < 0.05:
+        q = half * half
+        return 1.0 - q / 6.0 + q * q / 120.0, half * (-1.0 / 6.0 + q / 60.0 - q * q / 1680.0)
+    chord = math.sin(half) / half
+    return chord, 0.5 * (math.cos(half) - chord) / half
+
+
+@njit(error_model="numpy")
+def _predict(x: Any, P: Any, dt: float, raw: float, q_extra: float, resting: bool, silent: bool, c: Any) -> None:
     """Carry state and covariance over dt [s] with the gyro's raw turn [rad]; F P F' is done row by row."""
     f, cd, fb, cb = 1.0, dt, 1.0, dt
     if silent:
@@ -79,11 +88,11 @@ def _predict(
     w = free * gain
     d = x[V] * cd
     half = 0.5 * w
-    chord = math.sin(half) / half if abs(half) > 1e-6 else 1.0
-    ux, uy = chord * math.cos(x[TH] + half), chord * math.sin(x[TH] + half)
+    chord, bend = _arc(half)
+    cos, sin = math.cos(x[TH] + half), math.sin(x[TH] + half)
+    ux, uy = chord * cos, chord * sin
     dx, dy = d * ux, d * uy
-    shrink = (math.cos(half) / chord - 1.0) / w if abs(half) > 1e-4 else -w / 12.0  # d(log chord)/dw
-    px, py = dx * shrink - 0.5 * dy, dy * shrink + 0.5 * dx
+    px, py = d * bend * cos - 0.5 * dy, d * bend * sin + 0.5 * dx
     sd, sk = 1.0 - x[KD], 1.0 + x[KB]
     ke = x[KE] * c.inverse_track
     x[X] += dx
@@ -93,7 +102,7 @@ def _predict(
     x[PHI] += w * sk - ke * d
     x[V] *= f
     x[B] *= fb
-    for j in range(n):
+    for j in range(N):
         turn = -cb * gain * P[B, j] - free * P[KG, j]
         move = cd * P[V, j]
         P[X, j] += ux * move - dy * P[TH, j] + px * turn
@@ -103,7 +112,7 @@ def _predict(
         P[TH, j] += turn
         P[V, j] *= f
         P[B, j] *= fb
-    for i in range(n):
+    for i in range(MOVING):
         turn = -cb * gain * P[i, B] - free * P[i, KG]
         move = cd * P[i, V]
         P[i, X] += ux * move - dy * P[i, TH] + px * turn
@@ -113,6 +122,9 @@ def _predict(
         P[i, TH] += turn
         P[i, V] *= f
         P[i, B] *= fb
+    for i in range(MOVING, N):  # the rest by symmetry
+        for j in range(MOVING):
+            P[i, j] = P[j, i]
     _add_noise(x, P, dt, d, w, f, ux, uy, q_extra, resting, c)
 
 
@@ -173,9 +185,7 @@ def _add3(P: Any, i: int, j: int, k: int, a: float, b: float, e: float, q: float
 
 
 @njit(error_model="numpy")
-def _update(
-    x: Any, P: Any, n: int, h: Any, nu: float, r: float, keep: Any, single: int, a: int, b: int, work: Any
-) -> Any:
+def _update(x: Any, P: Any, h: Any, nu: float, r: float, keep: Any, single: int, a: int, b: int, work: Any) -> Any:
     """Update by one scalar reading with row h, innovation nu, variance r; returns nu^2 / its variance, and that.
 
     States with keep = 1 are considered, not corrected (Schmidt), and the gain is that for known states a and b (-1:
@@ -184,50 +194,51 @@ def _update(
     covariances are computed without. Covariance by Joseph's form, right for any gain.
     """
     g, gain, second = work[5], work[7], work[8]
-    for i in range(n):
+    for i in range(N):
         g[i] = 0.0
-    for j in range(n):
+    for j in range(N):
         if h[j] != 0.0:
-            for i in range(n):
-                g[i] += P[i, j] * h[j]
-    for i in range(n):
+            for i in range(N):
+                g[i] += P[j, i] * h[j]
+    for i in range(N):
         gain[i] = g[i]
-        second[i] = P[i, b]
+        second[i] = P[b, i]
     if a >= 0 and P[a, a] > 0.0:
-        for i in range(n):
-            gain[i] -= P[i, a] * (g[a] / P[a, a])
-            second[i] -= P[i, a] * (P[a, b] / P[a, a])
+        for i in range(N):
+            gain[i] -= P[a, i] * (g[a] / P[a, a])
+            second[i] -= P[a, i] * (P[a, b] / P[a, a])
     if b >= 0 and second[b] > 0.0:
         ratio = gain[b] / second[b]
-        for i in range(n):
+        for i in range(N):
             gain[i] -= second[i] * ratio
     variance, known = r, r
-    for j in range(n):
+    for j in range(N):
         variance += h[j] * g[j]
         known += h[j] * gain[j]
-    for i in range(n):
+    for i in range(N):
         gain[i] *= (1.0 - keep[i]) / known
         x[i] += gain[i] * nu
-    for i in range(n):
-        for j in range(n):
-            P[i, j] -= gain[i] * g[j] + g[i] * gain[j] - variance * (gain[i] * gain[j])
+        second[i] = g[i] - 0.5 * variance * gain[i]
+    for i in range(N):
+        for j in range(N):
+            P[i, j] -= gain[i] * second[j] + second[i] * gain[j]
         if P[i, i] < 0.0:
             P[i, i] = 0.0
     if single >= 0:
-        for i in range(n):
+        for i in range(N):
             P[i, single] = (g[i] - gain[i] * g[single]) * (r / known) + gain[i] * (r * gain[single])
             P[single, i] = P[i, single]
     else:
-        for i in range(n):  # rounding must not add up to an asymmetry
+        for i in range(N):  # rounding must not add up to an asymmetry
             for j in range(i):
                 P[i, j] = P[j, i]
     return nu * nu / variance, variance
 
 
 @njit(error_model="numpy")
-def _anchor(x: Any, P: Any, n: int, k: int, value: float, r: float) -> None:
+def _anchor(x: Any, P: Any, k: int, value: float, r: float) -> None:
     """Forget what was expected of state k: it is `value`, known to r, and related to nothing."""
-    for i in range(n):
+    for i in range(N):
         P[i, k] = 0.0
         P[k, i] = 0.0
     x[k] = value
@@ -235,12 +246,12 @@ def _anchor(x: Any, P: Any, n: int, k: int, value: float, r: float) -> None:
 
 
 @njit(error_model="numpy")
-def _gate_distance(x: Any, P: Any, n: int, z: float, since: float, jump: bool, c: Any) -> tuple[float, int]:
+def _gate_distance(x: Any, P: Any, z: float, since: float, jump: bool, c: Any) -> tuple[float, int]:
     """The wheels' cumulative distance. A surprise is a manoeuvre (the speed is doubted), a jump is no motion at all."""
     nu = z - x[S]
     nis = nu * nu / (P[S, S] + c.r_distance)
     if jump:
-        _anchor(x, P, n, S, z, c.r_distance)
+        _anchor(x, P, S, z, c.r_distance)
     elif nis > c.gate1:
         q, cos, sin, rate = nu * nu, math.cos(x[TH]), math.sin(x[TH]), 1.0 / max(since, 1e-3)
         _add3(P, X, Y, S, cos, sin, 1.0, q)
@@ -252,7 +263,7 @@ def _gate_distance(x: Any, P: Any, n: int, z: float, since: float, jump: bool, c
 
 
 @njit(error_model="numpy")
-def _gate_turn(x: Any, P: Any, n: int, z: float, since: float, jump: bool, refused: Any, c: Any) -> tuple[float, int]:
+def _gate_turn(x: Any, P: Any, z: float, since: float, jump: bool, refused: Any, c: Any) -> tuple[float, int]:
     """The wheels' cumulative turn. With a gyro a surprise is slip: that interval and a while after it are dropped, as
     slip fades in and out below the gate. Without one it is a manoeuvre."""
     nu = z - x[PHI]
@@ -260,7 +271,7 @@ def _gate_turn(x: Any, P: Any, n: int, z: float, since: float, jump: bool, refus
     slips = nis > c.gate1 and c.has_gyro != 0.0
     refused[WHEEL] = SLIP_TIME if slips else refused[WHEEL] - since
     if jump or refused[WHEEL] > 0.0:
-        _anchor(x, P, n, PHI, z, c.r_turn)
+        _anchor(x, P, PHI, z, c.r_turn)
         if not slips and not jump:
             return nis, NONE
     elif nis > c.gate1:
@@ -338,7 +349,7 @@ def _doubt(P: Any, kind: int, count: int, nu: Any) -> None:
 
 @njit(error_model="numpy")
 def _measure(
-    kind: int, a: Any, x: Any, P: Any, n: int, resting: bool, refused: Any, c: Any, keep: Any, work: Any, P_old: Any
+    kind: int, a: Any, x: Any, P: Any, resting: bool, refused: Any, c: Any, keep: Any, work: Any, P_old: Any
 ) -> tuple[float, float, int]:
     """One event's readings, in turn; fixes and ranges go through their joint gate, or are taken back.
 
@@ -354,7 +365,7 @@ def _measure(
         total, spread = 0.0, 0.0
         for m in range(count):
             moved = 0.0
-            for j in range(n):
+            for j in range(N):
                 moved += H[m, j] * (x[j] - x_old[j])
             single, which, known_a, known_b = -1, 0, -1, -1
             if kind == WHEEL and m == 0:
@@ -363,7 +374,7 @@ def _measure(
                 single, which = PHI, 2
                 if c.has_gyro == 0.0:
                     known_a, known_b = KB, KE
-            square, variance = _update(x, P, n, H[m], nu[m] - moved, r[m], keep[which], single, known_a, known_b, work)
+            square, variance = _update(x, P, H[m], nu[m] - moved, r[m], keep[which], single, known_a, known_b, work)
             total += square
             spread += math.log(variance)
         if attempt == 0:
@@ -412,10 +423,10 @@ def _considered(c: Any) -> Any:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def run_filter(
-    n: int, dt: Any, kind: Any, data: Any, raw: Any, q_extra: Any, flags: Any, x: Any, P: Any, c: Any,
+    dt: Any, kind: Any, data: Any, raw: Any, q_extra: Any, flags: Any, x: Any, P: Any, c: Any,
     nis: Any, status: Any, pose: Any, covariance: Any, bias: Any, bias_var: Any,
 ) -> None:  # fmt: skip
-    """Walk over E events. In: n states in use; per event dt [s] since the one before, kind, data (E, 4), the gyro's raw
+    """Walk over E events. In: per event dt [s] since the one before, kind, data (E, 4), the gyro's raw
     turn [rad], extra turn variance, flags (E, 3) of rest, counter jump and silent wheels; x (13,) and P (13, 13),
     changed in place to the last state. Out: nis, status (E, 2); a row of pose (M, 3), covariance (M, 3, 3), bias,
     bias_var (M,) per OUT event. nis: WHEEL distance, turn; FIX, RANGE joint value, log of the innovation's determinant.
@@ -432,20 +443,20 @@ def run_filter(
         elif kind[e] == OUT:
             resting = _at_rest(x, P, a[0], refused, c)
         if dt[e] > 0.0:
-            _predict(x, P, n, dt[e], raw[e], q_extra[e], resting, flags[e, 2], c)
+            _predict(x, P, dt[e], raw[e], q_extra[e], resting, flags[e, 2], c)
         if kind[e] == WHEEL:
             if not started:
                 started = True
-                _anchor(x, P, n, S, a[0], c.r_distance)
-                _anchor(x, P, n, PHI, 0.0 if math.isnan(a[1]) else a[1], c.r_turn)
-            nis[e, 0], status[e, 0] = _gate_distance(x, P, n, a[0], a[2], flags[e, 1], c)
+                _anchor(x, P, S, a[0], c.r_distance)
+                _anchor(x, P, PHI, 0.0 if math.isnan(a[1]) else a[1], c.r_turn)
+            nis[e, 0], status[e, 0] = _gate_distance(x, P, a[0], a[2], flags[e, 1], c)
             if not math.isnan(a[1]):
-                nis[e, 1], status[e, 1] = _gate_turn(x, P, n, a[1], a[2], flags[e, 1], refused, c)
-            _measure(kind[e], a, x, P, n, resting, refused, c, keep, work, P_old)
+                nis[e, 1], status[e, 1] = _gate_turn(x, P, a[1], a[2], flags[e, 1], refused, c)
+            _measure(kind[e], a, x, P, resting, refused, c, keep, work, P_old)
         elif kind[e] != OUT:
-            nis[e, 0], nis[e, 1], status[e, 0] = _measure(kind[e], a, x, P, n, resting, refused, c, keep, work, P_old)
+            nis[e, 0], nis[e, 1], status[e, 0] = _measure(kind[e], a, x, P, resting, refused, c, keep, work, P_old)
         else:
-            _measure(kind[e], a, x, P, n, resting, refused, c, keep, work, P_old)
+            _measure(kind[e], a, x, P, resting, refused, c, keep, work, P_old)
             for i in range(3):
                 pose[row, i] = x[i]
                 for j in range(3):

@@ -30,7 +30,7 @@ STILL_SPEED = 1e-3  # m/s, how still rest is
 WORDS = {FIX: "fixes", RANGE: "ranges"}
 
 PARAMETERS = {
-    5: ("gyro_scale", "1"), 8: ("distance_scale", "1"), 9: ("wheel_inequality", "1"), 10: ("track_scale", "1"),
+    7: ("gyro_scale", "1"), 8: ("distance_scale", "1"), 9: ("wheel_inequality", "1"), 10: ("track_scale", "1"),
     11: ("range_scale", "1"), 12: ("range_bias", "m"),
 }  # fmt: skip
 
@@ -65,9 +65,8 @@ def _walk(run: Run, events: Events, start: Start, numbers: Assumptions, rest: Re
     P[range(3, N), range(3, N)] = _priors(run, events, numbers, rest)
     nis, status = np.full((e, 2), np.nan), np.zeros((e, 2), np.int8)
     pose, covariance, bias, bias_var = np.empty((m, 3)), np.empty((m, 3, 3)), np.empty(m), np.empty(m)
-    n = N if (events.kind == RANGE).any() else N - 2
     run_filter(
-        n, events.dt, events.kind, events.data, events.raw, events.q_extra, events.flags, x, P,
+        events.dt, events.kind, events.data, events.raw, events.q_extra, events.flags, x, P,
         _constants(run, numbers, rest), nis, status, pose, covariance, bias, bias_var,
     )  # fmt: skip
     return Walk(nis, status, pose, covariance, bias, bias_var, x, P)
@@ -81,11 +80,11 @@ def _dead_reckon(run: Run, events: Events, numbers: Assumptions, rest: Rest | No
 
 
 def _priors(run: Run, events: Events, numbers: Assumptions, rest: Rest | None) -> Array:
-    """(10,) variances of v, b, kg, s, phi, kd, ke, kb, kr, br; 0 freezes what this run cannot show."""
+    """(10,) variances of s, phi, v, b, kg, kd, ke, kb, kr, br; 0 freezes what this run cannot show."""
     gyro, track = rest is not None, run.meta.robot.track_width is not None
     ranged = (events.kind == RANGE).any()
     sd = (
-        START_SPEED, numbers.bias_sd if gyro else START_TURN, numbers.gyro_scale_sd * gyro, 0.0, 0.0,
+        0.0, 0.0, START_SPEED, numbers.bias_sd if gyro else START_TURN, numbers.gyro_scale_sd * gyro,
         numbers.distance_scale_sd, numbers.inequality_sd * track, numbers.track_scale_sd * track,
         numbers.range_scale_sd * ranged, numbers.range_bias_sd * ranged,
     )  # fmt: skip

@@ -10,7 +10,7 @@ from filterpy.kalman import KalmanFilter
 
 from core.estimation.fusion._filter_numba import ACCEPTED, FIX, OUT, RANGE, REJECTED, WHEEL, Constants, run_filter
 
-X, Y, TH, V, B, KG, S, PHI, KD, KE, KB, KR, BR = range(13)
+X, Y, TH, S, PHI, V, B, KG, KD, KE, KB, KR, BR = range(13)
 N = 13
 
 BASE = Constants(
@@ -19,7 +19,7 @@ BASE = Constants(
     r_still=1e-6, r_fix=1.6e-3, r_fix_theta=9e-4, r_range=2.5e-3, top_speed=10.0, gate1=1e9, gate2=1e9, gate3=1e9,
     patience=5.0, patience_rest=50.0,
 )  # fmt: skip
-PRIOR = np.diag([1e-2, 1e-2, 1e-2, 0.25, 1e-4, 2.5e-5, 0.0, 0.0, 1e-4, 1e-5, 1e-3, 1e-3, 4e-2])
+PRIOR = np.diag([1e-2, 1e-2, 1e-2, 0.0, 0.0, 0.25, 1e-4, 2.5e-5, 1e-4, 1e-5, 1e-3, 1e-3, 4e-2])
 
 
 def events(seed: int, count: int = 120, *, kinds: tuple[int, ...] = (OUT, WHEEL, FIX, RANGE)) -> dict[str, Any]:
@@ -66,7 +66,7 @@ def walk(
     nis, status = np.full((count, 2), np.nan), np.zeros((count, 2), np.int8)
     pose, covariance, bias, bias_var = np.empty((rows, 3)), np.empty((rows, 3, 3)), np.empty(rows), np.empty(rows)
     run_filter(
-        N, log["dt"], log["kind"], log["data"], log["raw"], log["q_extra"], log["flags"], x, P, c,
+        log["dt"], log["kind"], log["data"], log["raw"], log["q_extra"], log["flags"], x, P, c,
         nis, status, pose, covariance, bias, bias_var,
     )  # fmt: skip
     return {"x": x, "P": P, "nis": nis, "status": status, "pose": pose, "covariance": covariance}
