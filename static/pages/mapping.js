@@ -24,7 +24,7 @@ class Step {
   constructor(root, table, catalogue) {
     Object.assign(this, { root, catalogue, names: table.columns.map((c) => c.name), rows: table.rows });
     this.targets = new Map(catalogue.streams.flatMap((stream) => stream.columns.filter((c) => c.name !== TIME).map((c) => [`${stream.name}.${c.name}`, c])));
-    this.use(table.suggestion);
+    this.use(table.suggested);
   }
 
   use(mapping) {
@@ -107,11 +107,11 @@ function signSelect(step, name, repaint) {
 }
 
 /** The first reading in SI, so that a wrong unit is seen before it is stored. */
-function converted(step, name, column) {
+function converted(step, name) {
   const { what, unit, sign } = step.choices.get(name);
   const si = step.si(what);
   const rule = step.catalogue.units[si]?.[unit || si];
-  const raw = Number(step.rows.find((row) => row[column] !== null && row[column] !== "")?.[column]);
+  const raw = Number(step.rows.find((row) => row[name] !== null && row[name] !== "")?.[name]);
   if (!what || !si || !rule || !Number.isFinite(raw)) return "";
   const divisor = rule.needs ? Number(step.robot[rule.needs]) : rule.divisor;
   return divisor ? `${number(sign * (raw * (rule.factor / divisor) + rule.offset), 4)} ${si}` : "";
@@ -120,7 +120,7 @@ function converted(step, name, column) {
 function tableOf(step, repaint) {
   const samples = step.rows.slice(0, 3);
   const head = h("tr", {}, ["Column", "Is", "Unit", "Sign", "First, in SI", ...samples.map((_, i) => `Row ${i + 1}`)].map((t) => h("th", { scope: "col" }, t)));
-  const rows = step.names.map((name, i) =>
+  const rows = step.names.map((name) =>
     h(
       "tr",
       { class: step.choices.get(name).what ? "" : "unused", "data-column": name },
@@ -128,8 +128,8 @@ function tableOf(step, repaint) {
       h("td", {}, whatSelect(step, name, repaint)),
       h("td", {}, unitSelect(step, name, repaint)),
       h("td", {}, signSelect(step, name, repaint)),
-      h("td", { class: "num" }, converted(step, name, i)),
-      samples.map((row) => h("td", { class: "sample" }, row[i] === null ? "" : String(row[i]))),
+      h("td", { class: "num" }, converted(step, name)),
+      samples.map((row) => h("td", { class: "sample" }, row[name] ?? "")),
     ),
   );
   return h("div", { class: "mapping-scroll" }, h("table", { class: "mapping-table" }, h("thead", {}, head), h("tbody", {}, rows)));

@@ -107,7 +107,8 @@ export class RunTable {
   }
 
   get rowHeight() {
-    return parseFloat(getComputedStyle(this.table).getPropertyValue("--row")) || 44;
+    this.height ??= parseFloat(getComputedStyle(this.table).getPropertyValue("--row")) || 46;
+    return this.height;
   }
 
   filter(key, value) {
@@ -129,18 +130,29 @@ export class RunTable {
   /** New content. `keep` leaves the scroll position and the active row where they are. */
   set({ items, total, sort, keep = false, columns = COLUMNS }) {
     const activeId = this.items[this.active]?.id;
+    const top = keep ? this.scroll.scrollTop : 0; // read before rows go: a shorter table would move it
     Object.assign(this, { items, total, sortKey: sort, columns });
-    this.active = keep ? items.findIndex((r) => r.id === activeId) : -1;
+    this.active = activeId ? items.findIndex((r) => r.id === activeId) : -1;
     this.clear();
     this.paintHead();
-    if (!keep) this.scroll.scrollTop = 0;
+    this.paint(top);
+    this.scroll.scrollTop = top;
+  }
+
+  /** More rows at the end; those that were shown as pending are drawn. */
+  append(items) {
+    const known = this.items.length;
+    this.items.push(...items);
+    for (const i of [...this.rows.keys()]) if (i >= known) this.renew(i);
     this.paint();
   }
 
-  append(items) {
-    this.items.push(...items);
-    this.clear();
-    this.paint();
+  /** Draw a row again in its place. */
+  renew(i) {
+    const before = this.rows.get(i);
+    if (!before) return;
+    this.rows.set(i, this.row(i));
+    before.replaceWith(this.rows.get(i));
   }
 
   replace(run) {
@@ -155,10 +167,7 @@ export class RunTable {
   }
 
   redraw(id) {
-    const i = this.items.findIndex((r) => r.id === id);
-    this.rows.get(i)?.remove();
-    this.rows.delete(i);
-    this.paint();
+    this.renew(this.items.findIndex((r) => r.id === id));
   }
 
   later() {
@@ -184,25 +193,26 @@ export class RunTable {
     this.head.replaceChildren(h("tr", {}, cells));
   }
 
-  paint() {
+  paint(top = this.scroll.scrollTop) {
     const height = this.rowHeight;
-    const first = Math.max(0, Math.floor(this.scroll.scrollTop / height) - OVERSCAN);
-    const last = Math.min(this.total, Math.ceil((this.scroll.scrollTop + this.scroll.clientHeight) / height) + OVERSCAN);
+    const first = Math.max(0, Math.floor(top / height) - OVERSCAN);
+    const last = Math.min(this.total, Math.ceil((top + this.scroll.clientHeight) / height) + OVERSCAN);
     for (const [i, row] of this.rows) {
       if (i >= first && i < last) continue;
       if (row.contains(document.activeElement) && this.editing) continue;
       row.remove();
       this.rows.delete(i);
     }
-    const wanted = [];
+    if (!this.before.isConnected) this.body.replaceChildren(this.before, this.after);
+    let next = this.before.nextSibling;
     for (let i = first; i < last; i++) {
       if (!this.rows.has(i)) this.rows.set(i, this.row(i));
-      wanted.push(this.rows.get(i));
+      const row = this.rows.get(i);
+      if (row === next) next = next.nextSibling;
+      else this.body.insertBefore(row, next);
     }
     this.before.style.height = `${first * height}px`;
     this.after.style.height = `${Math.max(0, this.total - last) * height}px`;
-    const present = [this.before, ...wanted, this.after];
-    if (present.length !== this.body.children.length || present.some((row, i) => this.body.children[i] !== row)) this.body.replaceChildren(...present);
     this.table.setAttribute("aria-rowcount", String(this.total));
     if (last > this.items.length && this.items.length < this.total) this.callbacks.more(last);
   }
@@ -233,9 +243,8 @@ export class RunTable {
 
   selectNone() {
     this.selected.clear();
-    this.clear();
+    for (const i of [...this.rows.keys()]) this.renew(i);
     this.paintHead();
-    this.paint();
     this.callbacks.selection(this.selected);
   }
 
@@ -245,10 +254,7 @@ export class RunTable {
     if (this.total === 0) return;
     const from = this.active;
     this.active = to;
-    for (const i of [from, to]) {
-      this.rows.get(i)?.remove();
-      this.rows.delete(i);
-    }
+    for (const i of [from, to]) this.renew(i);
     const height = this.rowHeight;
     const top = to * height;
     const view = this.scroll.clientHeight - this.head.offsetHeight;

@@ -25,12 +25,20 @@ const table = new RunTable($("#list"), $("#table"), {
 
 const listQuery = (more) => query({ q: state.q, sort: state.sort, ...more });
 
-/** Rows up to `index`, page after page, one request at a time. */
+/** Rows up to `index`, page after page, one request at a time; who asks meanwhile is served by the same loop. */
 async function loadTo(index) {
-  if (state.loading) return;
+  state.wanted = Math.max(state.wanted ?? 0, index);
+  if (state.loading) return state.loading.done;
   const token = (state.loading = {});
+  token.done = loadPages(token).finally(() => {
+    if (state.loading === token) Object.assign(state, { loading: null, wanted: 0 });
+  });
+  return token.done;
+}
+
+async function loadPages(token) {
   try {
-    while (state.next && table.items.length < index && state.loading === token) {
+    while (state.next && table.items.length < state.wanted) {
       const answer = await api(`runs?${listQuery({ cursor: state.next, limit: PAGE })}`);
       if (state.loading !== token) return;
       state.next = answer.next;
@@ -39,8 +47,6 @@ async function loadTo(index) {
     }
   } catch (error) {
     showProblem(error);
-  } finally {
-    if (state.loading === token) state.loading = null;
   }
 }
 
@@ -53,7 +59,7 @@ async function go(change, { keep = false } = {}) {
     const limit = keep ? Math.min(PAGE, Math.max(100, table.items.length)) : 100;
     const answer = await api(`/runs.json?${query({ ...wanted, limit })}`);
     if (state.loading !== token) return;
-    Object.assign(state, answer.data, { loading: null });
+    Object.assign(state, answer.data, { loading: null, wanted: 0 });
     $("#verdict").textContent = answer.sentence;
     history.replaceState(null, "", params ? `/runs?${params}` : "/runs");
     $("#undo").querySelector("[role=alert]")?.remove();
@@ -64,7 +70,8 @@ async function go(change, { keep = false } = {}) {
   }
 }
 
-const refresh = debounce(400, () => go({}, { keep: true }));
+// not while tags are being written: the row must stay
+const refresh = debounce(400, () => (table.editing ? refresh() : go({}, { keep: true })));
 
 function showProblem(error) {
   $("#undo").replaceChildren(problemNote(error));
@@ -134,6 +141,7 @@ async function addTag(tag) {
 /* deletion */
 
 async function deleteRuns(ids) {
+  if (ids.length === 0) return undefined;
   const names = ids.map((id) => table.items.find((r) => r.id === id)?.name ?? id);
   try {
     for (const id of ids) await api(`runs/${id}`, { method: "DELETE" });

@@ -9,6 +9,7 @@ import json
 import math
 import re
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -48,11 +49,12 @@ def rows(page: Page) -> Locator:
 
 
 def small_run(name: str, seconds: float = 4.0, **description: Any) -> dict[str, bytes]:
-    """The files of a run that drives an arc: wheels and gyro, no truth."""
+    """The files of a run that drives an arc, its own for each name: wheels and gyro, no truth."""
+    speed = 4 + zlib.crc32(name.encode()) % 1000 / 1000
     t = [i / 20 for i in range(int(seconds * 20))]
     robot = {"wheel_radius": 0.05, "track_width": 0.3, "ticks_per_rev": 2048}
     meta = {"format": "run/1", "name": name, "robot": robot, **description}
-    wheels = "t,left,right\n" + "".join(f"{x},{4 * x},{5 * x}\n" for x in t)
+    wheels = "t,left,right\n" + "".join(f"{x},{speed * x},{(speed + 1) * x}\n" for x in t)
     imu = "t,gz\n" + "".join(f"{x},{0.05 / 0.3 + 1e-4 * math.sin(x)}\n" for x in t)
     return {"run.json": json.dumps(meta).encode(), "wheels.csv": wheels.encode(), "imu.csv": imu.encode()}
 
