@@ -91,8 +91,10 @@ def sole_server(data: Path) -> Iterator[None]:
 def serve(settings: Settings) -> int:
     """Serve until told to stop (SIGINT, SIGTERM); the exit status."""
     signal.signal(signal.SIGTERM, _leave)
-    settings.data.mkdir(parents=True, exist_ok=True)
-    with sole_server(settings.data), listen(settings) as sock:
+    with contextlib.ExitStack() as stack:
+        sock = stack.enter_context(listen(settings))
+        settings.data.mkdir(parents=True, exist_ok=True)
+        stack.enter_context(sole_server(settings.data))
         server = Server(settings, greet=True)
         with contextlib.suppress(KeyboardInterrupt, SystemExit):  # raised by uvicorn once it has stopped
             server.run(sockets=[sock])
