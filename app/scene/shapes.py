@@ -166,16 +166,14 @@ def camera(extent: Extent) -> tuple[tuple[float, float, float], tuple[float, flo
     corners = np.array([(x, y, z) for x in (x0, x1) for y in (y0, y1) for z in (0.0, extent.height)])
     back = np.array((0.0, -np.cos(CAMERA_TILT), np.sin(CAMERA_TILT)))
     up = np.array((0.0, np.sin(CAMERA_TILT), np.cos(CAMERA_TILT)))
-    target = np.array((*extent.centre, 0.0))
     for reach in extent.size * np.geomspace(0.5, 8.0, 80):
-        for _ in range(4):  # shift the target until top and bottom have the same margin
+        target = np.array((*extent.centre, 0.0))
+        for _ in range(12):  # shift the target until top and bottom have the same margin
             seen = corners - (target + reach * back)
-            depth = seen @ -back
-            if (depth <= 0).any():
-                break
+            depth = np.maximum(seen @ -back, 0.05 * reach)
             height, side = (seen @ up) / depth / half, np.abs(seen[:, 0]) / depth / (half * CAMERA_ASPECT)
-            target[1] += (height.max() + height.min()) / 2 * half * reach
-        if (depth > 0).all() and height.max() <= 0.94 and height.min() >= -0.94 and side.max() <= 0.94:
+            target[1] += 0.5 * (height.max() + height.min()) * half * reach
+        if height.max() <= 0.94 and height.min() >= -0.94 and side.max() <= 0.94:
             break
     position = target + reach * back
     return (float(position[0]), float(position[1]), float(position[2])), (float(target[0]), float(target[1]), 0.0)
