@@ -60,7 +60,11 @@ function enter(event) {
 
 export function startHints() {
   document.addEventListener("pointerover", enter);
-  document.addEventListener("focusin", (e) => (e.target.matches?.(SELECTOR) ? open(e.target) : close()));
+  document.addEventListener("focusin", (e) => {
+    if (box?.contains(e.target)) return; // its link is being pressed
+    if (e.target.matches?.(SELECTOR)) open(e.target);
+    else close();
+  });
   document.addEventListener("pointerdown", (e) => box?.contains(e.target) || close());
   document.addEventListener("keydown", (e) => e.key === "Escape" && close());
   document.addEventListener("scroll", close, { capture: true, passive: true });
