@@ -73,7 +73,9 @@ class Panel {
     const table = await columns(this.upload.id);
     if (!table.needs_mapping) return undefined;
     this.say("mapping", "which column is what?");
-    const mapping = await mappingStep(this.more, table, context.mapping, this.stop.signal);
+    const answer = mappingStep(this.more, table, context.mapping, this.stop.signal);
+    setTimeout(() => this.element.scrollIntoView({ block: "end" }), 100); // its button is what goes on
+    const mapping = await answer;
     this.more.replaceChildren();
     return mapping;
   }
