@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from core.estimation.assumptions import Assumptions, Config, assume, encoder_quantum
 from core.estimation.fusion.events import FIX, RANGE, WHEEL, Events, merge
-from core.estimation.fusion.noise import Walk, learn
+from core.estimation.fusion.noise import Walk, learn, trusted_turns
 from core.estimation.fusion.start import Start, find_start
 from core.estimation.odometry import chi2_gate
 from core.estimation.rest import Rest, at_rest
@@ -40,7 +40,8 @@ def fused(run: Run, config: Config | None = None) -> Estimate:
     numbers, notes = assume(run, config)
     rest = at_rest(run, numbers) if run.imu is not None and len(run.imu) >= 2 else None
     events = merge(run, numbers, rest)
-    start = find_start(run, events, numbers, lambda: _dead_reckon(run, events, numbers, rest))
+    events, trusted = trusted_turns(events, lambda e: _alone(run, e, numbers, rest)) if rest else (events, ())
+    start = find_start(run, events, numbers, lambda: _reckoned(*_alone(run, events, numbers, rest)))
     events = start.without_used(events)
     numbers, learnt = learn(run, events, numbers, config or {}, lambda e, n: _walk(run, e, start, n, rest))
     walk = _walk(run, events, start, numbers, rest)
@@ -52,7 +53,7 @@ def fused(run: Run, config: Config | None = None) -> Estimate:
         parameters=_parameters(walk),
         events=_losses(events, walk),
         innovations=_innovations(events, walk),
-        notes=(*start.notes, *learnt, *notes, *events.notes, *_findings(events, walk)),
+        notes=(*start.notes, *trusted, *learnt, *notes, *events.notes, *_findings(events, walk)),
     )
 
 
@@ -72,10 +73,14 @@ def _walk(run: Run, events: Events, start: Start, numbers: Assumptions, rest: Re
     return Walk(nis, status, pose, covariance, bias, bias_var, x, P)
 
 
-def _dead_reckon(run: Run, events: Events, numbers: Assumptions, rest: Rest | None) -> Trajectory:
-    """The path of wheels and gyro alone from the origin, by the same filter."""
-    alone = Start(np.zeros(3), np.zeros((3, 3)), np.flatnonzero((events.kind == FIX) | (events.kind == RANGE)))
-    walk = _walk(run, alone.without_used(events), alone, numbers, rest)
+def _alone(run: Run, events: Events, numbers: Assumptions, rest: Rest | None) -> tuple[Events, Walk]:
+    """Wheels and gyro alone from the origin, by the same filter; the events that it walked over."""
+    origin = Start(np.zeros(3), np.zeros((3, 3)), np.flatnonzero((events.kind == FIX) | (events.kind == RANGE)))
+    inner = origin.without_used(events)
+    return inner, _walk(run, inner, origin, numbers, rest)
+
+
+def _reckoned(events: Events, walk: Walk) -> Trajectory:
     return Trajectory(events.out, walk.pose[:, 0], walk.pose[:, 1], walk.pose[:, 2])
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from core.estimation.assumptions import Assumptions, Config
-from core.estimation.fusion.events import FIX, OUT, RANGE, Events
+from core.estimation.fusion.events import FIX, OUT, RANGE, WHEEL, Events
 from core.run import Run
 
 Array = npt.NDArray[np.float64]
@@ -25,6 +25,7 @@ LEADING = 100_000  # events that are looked at
 PASSES = 4  # for the sd of fixes and ranges
 SLIP_STEP, SLIP_STEPS = 2.0, 3  # levels of slip are this far apart, this many each way
 CLEARLY = 2.0  # log likelihood that a change must gain
+CONTRADICTED = 0.3  # share of the time that wheels and gyro may disagree about turning
 OUTLIER = 16.0  # a normalised innovation squared counts no more than this
 MEDIAN_CHI2 = {1: 0.4549, 2: 1.3863, 3: 2.3660}
 
@@ -59,6 +60,24 @@ def learn(
         numbers, more = _slip(leading, numbers, walk)
         notes += more
     return numbers, notes
+
+
+def trusted_turns(events: Events, alone: Callable[[Events], tuple[Events, Walk]]) -> tuple[Events, tuple[str, ...]]:
+    """The events, without the wheels' turn where it keeps contradicting the gyro: skid steering, or a wrong sign.
+
+    alone: walks over wheels and gyro alone, and returns these events with what it found.
+    """
+    walked_over, walked = alone(_leading(events))
+    asked = (walked_over.kind == WHEEL) & np.isfinite(walked_over.data[:, 1])
+    if not asked.any():
+        return events, ()
+    refused = float(np.mean(walked.status[asked, 1] != 1))
+    if refused < CONTRADICTED:
+        return events, ()
+    data = events.data.copy()
+    data[events.kind == WHEEL, 1] = np.nan
+    note = f"Wheels and gyro disagree about turning {refused:.0%} of the time (skid steering?): the gyro alone is used."
+    return dataclasses.replace(events, data=data), (note,)
 
 
 def _leading(events: Events) -> Events:

@@ -203,6 +203,15 @@ def test_slip_is_learnt_where_the_floor_is_slippery() -> None:
     assert ate[0] < ate[1]
 
 
+def test_a_skid_steered_robot_is_turned_by_its_gyro_alone() -> None:
+    world = simulate(16, flaws=Flaws(track_scale=0.8), sensors=Sensors(fixes=0))
+    found = fused(world)
+    assert any("disagree about turning" in note for note in found.notes)
+    assert "wheels.turn" not in found.innovations
+    errors = evaluate(found.trajectory, world.run.truth)
+    assert errors.heading_max_rad is not None and errors.heading_max_rad < 0.05
+
+
 def test_truth_is_never_looked_at() -> None:
     world = simulate(13, 20.0)
     with_truth, without = fused(world), estimate(dataclasses.replace(world.run, truth=None), "fused")
