@@ -40,7 +40,9 @@ def fused(run: Run, config: Config | None = None) -> Estimate:
     numbers, notes = assume(run, config)
     rest = at_rest(run, numbers) if run.imu is not None and len(run.imu) >= 2 else None
     events = merge(run, numbers, rest)
-    events, trusted = trusted_turns(events, lambda e: _alone(run, e, numbers, rest)) if rest else (events, ())
+    trusted: tuple[str, ...] = ()
+    if rest is not None:
+        events, numbers, trusted = trusted_turns(events, numbers, lambda e, n: _alone(run, e, n, rest))
     start = find_start(run, events, numbers, lambda: _reckoned(*_alone(run, events, numbers, rest)))
     events = start.without_used(events)
     numbers, learnt = learn(run, events, numbers, config or {}, lambda e, n: _walk(run, e, start, n, rest))

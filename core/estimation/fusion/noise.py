@@ -25,6 +25,8 @@ LEADING = 100_000  # events that are looked at
 PASSES = 4  # for the sd of fixes and ranges
 SLIP_STEP, SLIP_STEPS = 2.0, 3  # levels of slip are this far apart, this many each way
 CLEARLY = 2.0  # log likelihood that a change must gain
+TRACK = 10  # the track scale's place in the filter's state
+IMPOSSIBLE = 4.0  # sd from the stated track width
 CONTRADICTED = 0.3  # share of the time that wheels and gyro may disagree about turning
 OUTLIER = 16.0  # a normalised innovation squared counts no more than this
 MEDIAN_CHI2 = {1: 0.4549, 2: 1.3863, 3: 2.3660}
@@ -62,22 +64,31 @@ def learn(
     return numbers, notes
 
 
-def trusted_turns(events: Events, alone: Callable[[Events], tuple[Events, Walk]]) -> tuple[Events, tuple[str, ...]]:
-    """The events, without the wheels' turn where it keeps contradicting the gyro: skid steering, or a wrong sign.
+def trusted_turns(
+    events: Events, numbers: Assumptions, alone: Callable[[Events, Assumptions], tuple[Events, Walk]]
+) -> tuple[Events, Assumptions, tuple[str, ...]]:
+    """Whether the wheels' turn can be believed beside the gyro's: with a wide prior of the track width where the stated
+    one cannot be right, and not at all where the two keep contradicting each other (a skid, a wrong sign).
 
     alone: walks over wheels and gyro alone, and returns these events with what it found.
     """
-    walked_over, walked = alone(_leading(events))
-    asked = (walked_over.kind == WHEEL) & np.isfinite(walked_over.data[:, 1])
+    leading = _leading(events)
+    notes: tuple[str, ...] = ()
+    inner, walked = alone(leading, numbers)
+    asked = (inner.kind == WHEEL) & np.isfinite(inner.data[:, 1])
     if not asked.any():
-        return events, ()
+        return events, numbers, ()
+    if abs(walked.x[TRACK]) > IMPOSSIBLE * numbers.track_scale_sd:
+        numbers = dataclasses.replace(numbers, track_scale_sd=1.0)
+        inner, walked = alone(leading, numbers)
+        notes = (f"The gyro shows a track width {1 + walked.x[TRACK]:.2f} times the stated one (skid steering?).",)
     refused = float(np.mean(walked.status[asked, 1] != 1))
     if refused < CONTRADICTED:
-        return events, ()
+        return events, numbers, notes
     data = events.data.copy()
     data[events.kind == WHEEL, 1] = np.nan
     note = f"Wheels and gyro disagree about turning {refused:.0%} of the time (skid steering?): the gyro alone is used."
-    return dataclasses.replace(events, data=data), (note,)
+    return dataclasses.replace(events, data=data), numbers, (note,)
 
 
 def _leading(events: Events) -> Events:

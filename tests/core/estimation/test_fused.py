@@ -203,9 +203,27 @@ def test_slip_is_learnt_where_the_floor_is_slippery() -> None:
     assert ate[0] < ate[1]
 
 
-def test_a_skid_steered_robot_is_turned_by_its_gyro_alone() -> None:
-    world = simulate(16, flaws=Flaws(track_scale=0.8), sensors=Sensors(fixes=0))
+@pytest.mark.parametrize("wide", [0.3, 0.8, -0.4])
+def test_a_track_width_that_cannot_be_right_is_found_by_the_gyro(wide: float) -> None:
+    """As of a skid-steered robot, whose effective track is far from the distance between its wheels."""
+    world = simulate(16, flaws=Flaws(track_scale=wide), sensors=Sensors(fixes=0))
     found = fused(world)
+    assert any("track width" in note for note in found.notes)
+    scale, consistency = found.parameters["track_scale"], nees(found.trajectory, world.run.truth)
+    assert scale.sd is not None and abs(scale.value - wide) < 4 * scale.sd + 0.02
+    assert consistency is not None and consistency.inside > 0.9
+
+
+def test_wheels_that_keep_contradicting_the_gyro_are_left_out() -> None:
+    """Both wheels read a turn that is not there. The heading follows the gyro."""
+    world = simulate(16, sensors=Sensors(fixes=0))
+    wheels = world.run.wheels
+    assert wheels is not None
+    drunk = np.cumsum(
+        0.02 * np.random.default_rng(0).standard_normal(len(wheels)) * (np.diff(wheels.left, prepend=0) != 0)
+    )
+    broken = dataclasses.replace(wheels, left=wheels.left - drunk, right=wheels.right + drunk)
+    found = estimate(dataclasses.replace(world.run, wheels=broken), "fused")
     assert any("disagree about turning" in note for note in found.notes)
     assert "wheels.turn" not in found.innovations
     errors = evaluate(found.trajectory, world.run.truth)
