@@ -26,7 +26,7 @@ class Inputs(NamedTuple):
     stamps [s], empty where the stream is absent. imu (N,): stamps; warmth (N,): temperature - first [K]; grid (G,):
     window edges in the IMU's stamps; lo, hi (N,): each sample's edges. anchor (M,): beacon index of each range;
     anchors (A, 3) [m]. cuts (M,): instants at which every rollout ends a piece. restarts (K, 4): t, x, y, theta at
-    which the pose is set anew.
+    which the pose is set anew. begin: until when all is at rest [s].
     """
 
     times: Array
@@ -34,6 +34,7 @@ class Inputs(NamedTuple):
     right: Array
     cuts: Array
     restarts: Array
+    begin: float
     wheels: Array
     imu: Array
     warmth: Array
@@ -111,6 +112,7 @@ def _entry_points(
                 inputs.cuts,
                 inputs.grid,
                 inputs.restarts,
+                inputs.begin,
                 ends[b],
                 nodes,
                 edges,
@@ -128,7 +130,17 @@ def _entry_points(
     @njit(cache=True, nogil=True, error_model="numpy")
     def roll(par: Array, end: float, inputs: Inputs, nodes: Array, edges: Array) -> int:
         return digest and rollout(
-            par, inputs.times, inputs.left, inputs.right, inputs.cuts, inputs.grid, inputs.restarts, end, nodes, edges
+            par,
+            inputs.times,
+            inputs.left,
+            inputs.right,
+            inputs.cuts,
+            inputs.grid,
+            inputs.restarts,
+            inputs.begin,
+            end,
+            nodes,
+            edges,
         )
 
     @njit(cache=True, nogil=True, error_model="numpy")

@@ -20,6 +20,9 @@ EVENT = 1e-9
 TOLERANCE = 1e-12
 """Speeds that differ by less [m/s] are the same."""
 
+SNAP = 2e-6
+"""A speed nearer than this to what it follows [m/s] has caught up: more than a piece's linear sag can be off."""
+
 compiled = njit(nogil=True, error_model="numpy")
 """For inner functions: compiled into their callers, kept on disk only as parts of `_batch_numba`'s entry points."""
 inlined = njit(nogil=True, error_model="numpy", forceinline=True)
@@ -92,7 +95,8 @@ def limit_acceleration(piece: Piece, z: float, a: float, h: float, itau: float) 
     p, q, c = piece
     ahead = p + c - z
     slope = q - c * itau
-    if abs(ahead) <= TOLERANCE and abs(slope) <= a * (1.0 + 1e-12):
+    caught = abs(ahead) <= SNAP
+    if caught and abs(slope) <= a * (1.0 + 1e-12):
         if c == 0.0:
             return h, piece
         end = q - c * itau * np.exp(-h * itau)
@@ -101,8 +105,8 @@ def limit_acceleration(piece: Piece, z: float, a: float, h: float, itau: float) 
             cut = -np.log(reached) / itau if 0.0 < reached < 1.0 else h
             h = cut if EVENT < cut < h else h
         return h, piece
-    sign = np.sign(ahead) if abs(ahead) > TOLERANCE else np.sign(slope)
-    line = (z, sign * a, 0.0)
+    sign = np.sign(slope) if caught else np.sign(ahead)
+    line = (p + c if caught else z, sign * a, 0.0)
     if sign * (value(piece, h, itau) - value(line, h, itau)) < 0.0:
         h = max(crossing(piece, line, h, itau), EVENT)
     return h, line
@@ -142,7 +146,7 @@ def wheel(
     h, lagged = set_point(raw, h, sag0, sag1, par)
     if tau != 0.0:
         u, mu, _ = lagged
-        lagged = (u - tau * mu, mu, y - u + tau * mu)
+        lagged = (u - tau * mu, mu, y - u + tau * mu if itau != 0.0 else 0.0)
     limited = lagged
     if par[P.A_MAX] < np.inf:
         h, limited = limit_acceleration(lagged, z, par[P.A_MAX], h, itau)

@@ -20,6 +20,10 @@ Triple = tuple[float, float, float]
 
 MAX_STEP = 0.01
 """Longest piece [s]."""
+DWELL = 0.001
+"""After crossing a slip patch's edge the body stays on that side this long [s], or slips that turn it could chatter."""
+MIN_STEP = 0.001
+"""Shortest piece that a lag asks for [s]."""
 BUMP_SPAN = 0.3
 SAME = 1e-12
 """Instants nearer than this [s] are one."""
@@ -29,11 +33,12 @@ JUMP = 1e-9
 """Speeds that differ by less [m/s, rad/s] do not jump."""
 
 # Columns of a node: pose, speeds in the body and the map, rim distances and speeds; the last six are integrals since
-# t = 0 (of w, w*v, w*vy, w*w, cos theta, sin theta), whose differences give the means over an IMU window exactly.
+# the start (of w, w*v, w*vy, w*w, cos theta, sin theta), whose differences give the means over an IMU window exactly.
 (T, X, Y, TH, V, VY, W, XD, YD, PL, PR, SL, SR, TURN, WV, WVY, WW, CC, SS) = range(19)
 NODE = 19
-# What the rollout carries beside: heading's cosine and sine, lag and limit state of each wheel, inside a slip patch.
-(COS, SIN, YL, YR, ZL, ZR, INSIDE) = range(19, 26)
+# What the rollout carries beside: heading's cosine and sine, lag and limit state of each wheel, inside a slip patch,
+# and when its edge was last crossed.
+(COS, SIN, YL, YR, ZL, ZR, INSIDE, CROSSED) = range(19, 27)
 # Columns of an IMU window edge: the same quantities at the edge.
 EDGE_TURN, EDGE_V, EDGE_VY, EDGE_W, EDGE_WV, EDGE_WVY, EDGE_WW, EDGE_CC, EDGE_SS = range(9)
 EDGE = 9
@@ -172,18 +177,18 @@ def edge_at(par: Array, grid: Array, g: int) -> float:
 
 
 @compiled
-def at_rest(par: Array, grid: Array, nodes: Array, edges: Array, state: Array) -> int:
-    """Start pose into `state` and the first two nodes; rows of the window edges before t = 0. Returns how many."""
+def at_rest(par: Array, begin: float, grid: Array, nodes: Array, edges: Array, state: Array) -> int:
+    """Start pose into `state` and the first two nodes; rows of the window edges before `begin`. Returns how many."""
     put_pose(state, par[P.X0], par[P.Y0], par[P.TH0], par)
-    state[T] = -1e6
+    state[T] = begin - 1e6
     put_node(nodes, 0, state)
     g = 0
-    while g < grid.shape[0] and edge_at(par, grid, g) <= 0.0:
-        t = edge_at(par, grid, g)
+    while g < grid.shape[0] and edge_at(par, grid, g) <= begin:
+        t = edge_at(par, grid, g) - begin
         state[CC], state[SS] = t * state[COS], t * state[SIN]
         put_edge(edges, g, state)
         g += 1
-    state[T], state[CC], state[SS] = 0.0, 0.0, 0.0
+    state[T], state[CC], state[SS] = begin, 0.0, 0.0
     put_node(nodes, 1, state)
     return g
 
@@ -251,10 +256,13 @@ def piece(
     h, lag_l, limited_l, rim_l = wheel(left, h, sag0, sag1, state[YL], state[ZL], par)
     h, lag_r, limited_r, rim_r = wheel(right, h, sag0, sag1, state[YR], state[ZR], par)
     if abs(lag_l[2]) + abs(lag_r[2]) > SETTLED:  # so that a cubic between nodes follows the exponential
-        h = min(h, 0.5 * par[P.TAU])
+        h = min(h, max(0.5 * par[P.TAU], MIN_STEP))
     crosses = False
     if par[P.PATCH_SLIP] != 0.0:
-        h, crosses = cut_at_patch(rim_l, rim_r, h, state, par)
+        if t < state[CROSSED] + DWELL:
+            h = min(h, DWELL)
+        else:
+            h, crosses = cut_at_patch(rim_l, rim_r, h, state, par)
     half = np.exp(-0.5 * h * par[P.ITAU]) if par[P.ITAU] != 0.0 else 1.0
     moved, start, end, sums = body(rim_l, rim_r, h, half, t, state[INSIDE] != 0.0, par)
     sl, sr = rim_l[0] + rim_l[2], rim_r[0] + rim_r[2]
@@ -272,7 +280,7 @@ def piece(
         state[YL], state[YR] = end_of(lag_l, h, half, par)[0], end_of(lag_r, h, half, par)[0]
         state[ZL], state[ZR] = end_of(limited_l, h, half, par)[0], end_of(limited_r, h, half, par)[0]
     if crosses:
-        state[INSIDE] = 1.0 - state[INSIDE]
+        state[INSIDE], state[CROSSED] = 1.0 - state[INSIDE], t + h
     state[T] = to if t + h >= to - SAME else t + h
     return put_node(nodes, n, state), g
 
@@ -305,19 +313,21 @@ def rollout(
     cuts: Array,
     grid: Array,
     restarts: Array,
+    begin: float,
     t_end: float,
     nodes: Array,
     edges: Array,
 ) -> int:
-    """Drive and body from rest at t = 0 to t_end.
+    """Drive and body from rest at `begin` to t_end.
 
     par: packed parameters. times (C,): command stamps; left, right (C, 2): rim set-points [m/s] and their slopes to
     the next. cuts (M,): instants to cut at, whatever the parameters are. grid (G,): IMU window edges, in the IMU's
     stamps. restarts (K, 4): t, x, y, theta at which the pose is set anew. Fills nodes (cap, NODE) and edges (G, EDGE);
     returns the number of nodes, or -1 if `nodes` is too short.
     """
-    state = np.zeros(NODE + 7)
-    g = at_rest(par, grid, nodes, edges, state)
+    state = np.zeros(NODE + 8)
+    state[CROSSED] = -np.inf
+    g = at_rest(par, begin, grid, nodes, edges, state)
     n, j, k, m = 2, -1, 0, 0
     while state[T] < t_end - SAME:
         t = state[T]

@@ -41,6 +41,7 @@ def prepare(run: Run, restarts: Array | None = None) -> Inputs:
         right=_with_slopes(times, right),
         cuts=np.unique(np.concatenate((grid, *others))),
         restarts=NO_RESTARTS if restarts is None else np.ascontiguousarray(restarts, dtype=np.float64),
+        begin=begin_of(run),
         wheels=_stamps(run.wheels.t if run.wheels else NO_STAMPS),
         imu=_stamps(imu),
         warmth=warmth,
@@ -53,6 +54,13 @@ def prepare(run: Run, restarts: Array | None = None) -> Inputs:
         anchors=anchors,
         truth=_stamps(run.truth.t if run.truth else NO_STAMPS),
     )
+
+
+def begin_of(run: Run) -> float:
+    """When the drive begins [s]: at 0, where `start` is the pose; a run cropped from another, with its commands."""
+    if run.meta.start is not None or run.commands is None or not len(run.commands):
+        return 0.0
+    return max(float(run.commands.t[0]), 0.0)
 
 
 def with_drive(inputs: Inputs, times: Array, left: Array, right: Array) -> Inputs:

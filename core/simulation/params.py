@@ -86,6 +86,8 @@ DIRECT: dict[int, tuple[str, str]] = {
 }
 """Slots that hold one parameter of one effect as it is."""
 
+SHORTEST_LAG = 1e-6
+"""Below this [s] a lag keeps its steady part and has no transient: an exponential that steep is a jump."""
 DRIVE_NEUTRAL = {
     slot: float(EFFECTS[e].parameter(p).neutral) for slot, (e, p) in DIRECT.items() if DELAY <= slot <= V_MAX
 }
@@ -108,7 +110,7 @@ def pack(meta: RunMeta, effects: EffectSet, *, start: Pose | None = None) -> Arr
         par[slot] = values[effect][name]
     pose = start or meta.start or Pose()
     par[X0], par[Y0], par[TH0], par[RADIUS] = pose.x, pose.y, pose.theta, radius
-    par[ITAU] = 1.0 / par[TAU] if par[TAU] > 0.0 else 0.0
+    par[ITAU] = 1.0 / par[TAU] if par[TAU] >= SHORTEST_LAG else 0.0
     scale, ratio = float(values["wheel_radius"]["scale"]), float(values["unequal_wheels"]["ratio"])
     par[SCALE_L], par[SCALE_R] = scale * 2.0 / (1.0 + ratio), scale * 2.0 * ratio / (1.0 + ratio)
     par[IB] = 1.0 / (float(values["track_width"]["scale"]) * track)

@@ -1,7 +1,8 @@
 """`simulate(run, effects, seed) -> Run`: the nominal simulator with effects added, at the stamps of the given run.
 
 The given run says what to drive (its commands), what to read (its streams and columns) and when (its stamps); its own
-readings are not used, except the recorded temperature. All is at rest at the start pose until t = 0.
+readings are not used, except the recorded temperature. All is at rest at the start pose until t = 0; a run without a
+start (one cropped out of a longer run) begins at rest at the map's origin with its first command.
 """
 
 from __future__ import annotations
@@ -127,12 +128,12 @@ def last_instant(inputs: Inputs, par: Array) -> float:
     last = [float(t[-1]) for t in (inputs.wheels, inputs.beacon, inputs.ranges, inputs.truth) if len(t)]
     if len(inputs.grid):
         last.append(float((inputs.grid[-1] - par[P.CLOCK_OFFSET]) * par[P.CLOCK_RATE]))
-    return max([*last, 0.0])
+    return max([*last, inputs.begin])
 
 
 def capacity(inputs: Inputs, end: float) -> int:
     """Nodes to make room for: one per piece, as many again for jumps and events; untouched memory costs nothing."""
-    pieces = end / MAX_STEP + len(inputs.times) + len(inputs.cuts) + 2 * len(inputs.restarts)
+    pieces = (end - inputs.begin) / MAX_STEP + len(inputs.times) + len(inputs.cuts) + 2 * len(inputs.restarts)
     return int(2.2 * pieces) + 1024
 
 
