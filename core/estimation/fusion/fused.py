@@ -172,7 +172,9 @@ def _losses(events: Events, walk: Walk) -> tuple[Event, ...]:
         if all_t.size < 3:
             continue
         t = events.t[(events.kind == kind) & (walk.status[:, 0] == 1)]
-        longest = max(LOSS_FLOOR, LOSS_FACTOR * float(np.median(np.diff(all_t))))
+        steps = np.diff(all_t)
+        # A ranging system speaks in bursts: its rhythm is its pauses, not its median step.
+        longest = max(LOSS_FLOOR, LOSS_FACTOR * float(np.median(steps)), 1.5 * float(np.quantile(steps, 0.95)))
         edges = np.concatenate((all_t[:1], t, [end]))
         for i in np.flatnonzero(np.diff(edges) > longest):
             a, b = float(edges[i]), float(edges[i + 1])
