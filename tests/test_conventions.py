@@ -78,7 +78,8 @@ def test_module_is_documented_and_small(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     tree = ast.parse(text)
     assert not text.strip() or ast.get_docstring(tree), "a module says what it is"
-    assert text.count("\n") <= 450, "a module that needs walls"
+    # A kernel stays one file: numba's cache looks for changes in the file of the outermost function only.
+    assert text.count("\n") <= (600 if path.name.endswith("_numba.py") else 450), "a module that needs walls"
     if not path.name.endswith("_numba.py"):
         for node in ast.walk(tree):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
