@@ -12,6 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from app.cli_imu import add_commands as add_imu_commands
+
 if TYPE_CHECKING:
     from core.errors import DriftscopeError
     from core.estimation.result import Estimate
@@ -56,6 +58,7 @@ def parser() -> argparse.ArgumentParser:
     estimate.add_argument("--json", metavar="FILE", help="the result as JSON (- for standard output)")
     estimate.add_argument("--data", type=Path, help="data folder of stored runs (default data)")
     estimate.set_defaults(run=_estimate)
+    add_imu_commands(commands, RUN_HELP)
     return top
 
 
@@ -110,14 +113,14 @@ def _import(options: argparse.Namespace) -> int:
             if options.json != "-":
                 sys.stdout.write(run["id"] + "\n")
     if options.json:
-        _write_json(options.json, {"schema": "import/1", "runs": stored})
+        write_json(options.json, {"schema": "import/1", "runs": stored})
     return status
 
 
 def _estimate(options: argparse.Namespace) -> int:
     progress = _progress(options.method)
     progress(0.0, "reading")
-    run = _run_of(options.source, options.data)
+    run = run_of(options.source, options.data)
     from core.estimation.pipeline import estimate
 
     progress(0.3, "estimating")
@@ -129,7 +132,7 @@ def _estimate(options: argparse.Namespace) -> int:
     progress(0.9, "writing")
     write_path(made, options.out)
     if options.json:
-        _write_json(options.json, published(run, made, runtime))
+        write_json(options.json, published(run, made, runtime))
     progress(1.0, "done")
     return OK
 
@@ -175,7 +178,7 @@ def published(run: Run, made: Estimate, runtime: float) -> dict[str, Any]:
     }
 
 
-def _run_of(source: str, data: Path | None) -> Run:
+def run_of(source: str, data: Path | None) -> Run:
     """The run that RUN names: what lies there, else what is stored under that id."""
     from core.errors import FormatError
 
@@ -206,7 +209,7 @@ def _existing(name: str) -> Path:
     return path
 
 
-def _write_json(target: str, value: object) -> None:
+def write_json(target: str, value: object) -> None:
     import json
 
     text = json.dumps(value, indent=2, allow_nan=False) + "\n"

@@ -48,3 +48,28 @@ def describe(x: Floats, start: Ints) -> Floats:
             out[i, 7] = (m3 / n) / (m2 / n) ** 1.5
             out[i, 8] = (m4 / n) / (m2 / n) ** 2
     return out
+
+
+@numba.njit(cache=True, parallel=True)
+def extremes(x: npt.NDArray[np.floating], start: Ints) -> Floats:
+    """(K, 4) minimum, maximum, mean and standard deviation (n - 1) of each block; NaN where it is empty."""
+    count = start.shape[0] - 1
+    out = np.full((count, 4), np.nan)
+    for i in numba.prange(count):
+        low, n = start[i], start[i + 1] - start[i]
+        if n < 1:
+            continue
+        origin = float(x[low])
+        least, most, first, second = origin, origin, 0.0, 0.0
+        for j in range(low, low + n):
+            value = float(x[j])
+            least = min(least, value)
+            most = max(most, value)
+            d = value - origin
+            first += d
+            second += d * d
+        mean = first / n
+        out[i, 0], out[i, 1], out[i, 2] = least, most, origin + mean
+        if n > 1:
+            out[i, 3] = np.sqrt(max(0.0, second - n * mean * mean) / (n - 1))
+    return out

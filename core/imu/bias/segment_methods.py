@@ -17,10 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from core.errors import ParameterError
+from core.imu.bias.integral import curve_stamps, integral_at
 from core.imu.bias.result import (
     ACCEPTED,
     EMPTY,
-    RATE,
     REJECTED_BY_BAND,
     REJECTED_BY_RANGE,
     BiasEstimate,
@@ -47,7 +47,7 @@ class SegmentConfig:
 def method_a(t: Floats, gz: npt.NDArray[np.floating], config: SegmentConfig | None = None) -> BiasEstimate:
     """The mean of the first segment, kept for the whole run."""
     config = config or SegmentConfig()
-    found = segments(t, gz, config.length)
+    found = segments(t, gz, config.length, quartiles=False)
     verdict = np.where(np.isfinite(found.mean), REJECTED_BY_BAND, EMPTY).astype(np.int8)
     verdict[int(np.flatnonzero(np.isfinite(found.mean))[0])] = ACCEPTED
     return _estimate("A", t, gz, found, verdict, config)
@@ -56,14 +56,14 @@ def method_a(t: Floats, gz: npt.NDArray[np.floating], config: SegmentConfig | No
 def method_b(t: Floats, gz: npt.NDArray[np.floating], config: SegmentConfig | None = None) -> BiasEstimate:
     """The mean of each segment that passes the range test (5), held until the next."""
     config = config or SegmentConfig()
-    found = segments(t, gz, config.length)
+    found = segments(t, gz, config.length, quartiles=False)
     return _estimate("B", t, gz, found, range_test(found), config)
 
 
 def method_c(t: Floats, gz: npt.NDArray[np.floating], config: SegmentConfig | None = None) -> BiasEstimate:
     """As B, of the segments that also lie in the band (7)."""
     config = config or SegmentConfig()
-    found = segments(t, gz, config.length)
+    found = segments(t, gz, config.length, quartiles=False)
     return _estimate("C", t, gz, found, band_test(found, range_test(found), config.n), config)
 
 
@@ -94,20 +94,23 @@ def _estimate(
     """Bias per sample from the segments' verdicts, heading by (4), both on the curve's stamps."""
     taken = np.flatnonzero(verdict == ACCEPTED)
     notes = () if len(taken) else ("No segment at rest was found: the bias stays 0.",)
-    # Each sample's segment, then the last accepted one up to it; samples before the first accepted take that one.
+    # Each segment's last accepted one up to it; those before the first accepted take that one.
     last = np.maximum.accumulate(np.where(verdict == ACCEPTED, np.arange(len(verdict)), -1))
     value = np.where(last >= 0, found.mean[np.maximum(last, 0)], found.mean[taken[0]] if len(taken) else 0.0)
-    per_sample = np.repeat(value, np.diff(found.start))
-    per_sample = np.concatenate((per_sample, np.full(len(t) - len(per_sample), value[-1])))
-    theta = heading(t, gz, per_sample)
-    out = np.arange(0.0, t[-1] - t[0] + 0.5 / RATE, 1 / RATE) + t[0]
+    out = curve_stamps(t)
+    turned, _ = integral_at(t, gz, out)
+    # A segment's bias holds for its readings, each of which lasts since the one before it.
+    edges = t[np.maximum(found.start - 1, 0)]
+    edges[-1] = t[-1]
+    drifted = np.concatenate(([0.0], np.cumsum(value * np.diff(edges))))
+    theta = turned - np.interp(out, edges, drifted)
     place = np.minimum(np.searchsorted(found.t1, out, "right"), len(found) - 1)
     sigma = still_sd(found)
     counted = found.count[np.maximum(last, 0)]
     return BiasEstimate(
         method,
         out,
-        np.interp(out, t, theta),
+        theta,
         value[place],
         sigma / np.sqrt(np.maximum(counted, 1))[place],
         None,
@@ -116,9 +119,3 @@ def _estimate(
         {"sigma_sr": sigma, "n": float(config.n), "length": config.length},
         notes,
     )
-
-
-def heading(t: Floats, gz: npt.NDArray[np.floating], bias: Floats) -> Floats:
-    """(n,) heading [rad] from the first stamp: the paper's (4), each reading lasting since the one before it."""
-    rate = np.asarray(gz, np.float64) - bias
-    return np.concatenate(([0.0], np.cumsum(rate[1:] * np.diff(t))))
