@@ -14,5 +14,5 @@ def _part(name: str) -> Path:
 
 STATIC = _part("static")
 MIGRATIONS = _part("migrations")
-EXAMPLES = _part("examples")
+EXAMPLES = APP / "examples"
 TEMPLATES = APP / "templates"

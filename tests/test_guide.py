@@ -74,7 +74,7 @@ def test_blocks_that_do_not_run_are_few(path: Path) -> None:
 
 @pytest.mark.parametrize(("info", "code"), RUNNABLE)
 def test_block_runs(info: str, code: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
-    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    (tmp_path / "examples").symlink_to(ROOT / "app" / "examples")
     env = os.environ | {
         "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
         "PYTHONPATH": str(ROOT),

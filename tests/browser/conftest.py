@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import install
 
 ROOT = Path(__file__).resolve().parents[2]
-EXAMPLES = ROOT / "examples"
+EXAMPLES = ROOT / "app" / "examples"
 FLAGS = [
     "--no-sandbox",
     "--use-angle=swiftshader",

@@ -10,7 +10,7 @@ import pytest
 
 from core.formats import read_run
 
-EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
+EXAMPLES = Path(__file__).resolve().parents[3] / "app" / "examples"
 NAMES = ("lawn-mower-with-uwb", "simulated-mission", "square-with-disturbance")
 
 

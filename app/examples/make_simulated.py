@@ -1,6 +1,6 @@
-"""Makes `examples/simulated-mission`: one simulated drive with every stream on it. Same seed, same bytes of readings.
+"""Makes `app/examples/simulated-mission`: one drive with every stream on it. Same seed, same bytes of readings.
 
-Run it from anywhere: `python examples/make_simulated.py`. It replaces the folder.
+Run it from anywhere: `python app/examples/make_simulated.py`. It replaces the folder.
 """
 
 from __future__ import annotations
