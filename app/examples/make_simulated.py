@@ -9,6 +9,7 @@ import dataclasses
 import math
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -55,7 +56,9 @@ def temperature(t: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 def as_recorded(log: Log) -> Log:
     """Stamps to the microsecond, readings in single precision, as a logger writes them."""
-    columns = {k: v.astype(np.float32) if v.dtype == np.float64 else v for k, v in log.columns().items()}
+    columns: dict[str, Any] = {
+        k: v.astype(np.float32) if v.dtype == np.float64 else v for k, v in log.columns().items()
+    }
     return dataclasses.replace(log, **{**columns, "t": np.round(log.t, 6)})
 
 
