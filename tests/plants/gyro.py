@@ -168,7 +168,7 @@ def _creep(rng: np.random.Generator, scenario: Scenario, sign: float) -> tuple[F
     if scenario.creep == "none":
         return np.array([0.05]), np.array([0.0])
     tau = rng.uniform(0.1, 0.4) if scenario.creep == "slow" else rng.uniform(1.0, 2.5)
-    hold = rng.uniform(1.0, 3.0) if scenario.creep == "slow" else 0.05
+    hold = rng.uniform(2.0, 4.0) if scenario.creep == "slow" else 0.05
     w = sign * DEG * (rng.uniform(0.5, 0.9) if scenario.creep == "slow" else rng.uniform(0.4, 1.0))
     fade = np.arange(1, 25) * 0.3 * tau
     rates = w * np.exp(-fade / tau)

@@ -16,6 +16,7 @@ Flags = npt.NDArray[np.bool_]
 
 SIZE = 5
 WINDOW = 4  # blocks of the window that `quiet` is told from
+STOP = 3.0  # in noise of a second's angle: what each stop's beginning and end may hide
 SCALES = (1, 4, 16, 64)  # blocks over which the mean of a rest is compared with the bias before it
 
 
@@ -108,6 +109,23 @@ def _too_far(  # the largest scale at which the rest's mean is not the bias befo
 
 
 @numba.njit(cache=True)
+def _off(  # whether the mean over the last window speaks against a rest's beginning here
+    k: int, mean: Floats, noise: Floats, bias: Floats, variance: Floats, time: Floats, walk: float, swing: float,
+    enter: float,
+) -> bool:  # fmt: skip
+    low = k - WINDOW + 1
+    if low < 1:
+        return False
+    total, spread, span = 0.0, 0.0, 0.0
+    for i in range(low, k + 1):
+        total += mean[i]
+        spread += noise[i]
+        span += time[i]
+    off = total / WINDOW - bias[low - 1]
+    return off * off > enter * enter * (spread / (WINDOW * WINDOW) + variance[low - 1] + walk * span + swing)
+
+
+@numba.njit(cache=True)
 def track(
     quiet: Flags, calm: Flags, decide: bool, angle: Floats, lost: Floats, time: Floats, mean: Floats, noise: Floats,
     kelvin: Floats, setting: Floats,
@@ -117,7 +135,7 @@ def track(
     mean, else they are taken as they are.
 
     setting: white [rad^2/s], walk [rad^2/s^3], phi_tau [s], swing [rad^2/s^2], tail [rad/s], tail_tau [s], gate, first
-    variance of the bias, of its slope over temperature, patience [blocks], tail_fade [s].
+    variance of the bias, of its slope over temperature, patience [blocks], tail_fade [s], enter.
 
     Returns still (K,), the states at each block's end x (K, 5) and p (K, 5, 5), the updates' residual (K,) and
     variance (K,), and what was known at the time: live (K, 2) heading and its variance, live_bias (K, 2).
@@ -156,6 +174,11 @@ def track(
                     first, fresh, back = k + 1, False, far
                     anew[k] = refused >= patience
                     refused = 0 if anew[k] else refused
+                elif not (k > first and still[k - 1]) and _off(
+                    k, mean, noise, bias, variance, time, walk, swing, setting[11]
+                ):
+                    refused, back = refused + 1, 0
+                    fresh = True
                 else:
                     back = 0
                     still[k] = True
@@ -167,9 +190,9 @@ def track(
                         if still[i]:
                             still[i] = False
                             low = min(low, i)
-                elif fresh and k == first:  # quiet is told from a window: the rest began inside it
+                elif fresh and still[k]:  # told from a window: the rest began inside it
                     fresh = False
-                    for i in range(k - 1, max(k - WINDOW + 1, 0), -1):
+                    for i in range(k - 1, max(k - WINDOW // 2, 0), -1):
                         off = mean[i] - bias[i - 1]
                         if not calm[i] or off * off > gate * gate * (noise[i] + variance[i - 1] + swing):
                             break
@@ -181,6 +204,8 @@ def track(
         if anew[k]:
             p[1, :], p[:, 1] = 0.0, 0.0
             p[1, 1] = setting[7]
+        if still[k] and k > 0 and not still[k - 1]:
+            p[0, 0] += STOP * STOP * white
         since[k] = since[k - 1] + 1 if still[k] and k > 0 else 0
         phi = np.exp(-time[k] / fade)
         residual[k], total[k] = _step(

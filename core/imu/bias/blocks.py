@@ -13,11 +13,12 @@ from core.imu.bias.integral import curve_stamps, integral_at
 from core.imu.bias.result import RATE
 from core.run import Run
 from core.sensors import CommandLog, ImuLog, WheelLog
-from core.timing import gaps
+from core.timing import gaps, typical_step
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
+PAUSE = 10.0  # steps without a reading
 FEWEST = 4  # readings of a block
 CLIP = 4.0  # deviations, beyond which a reading counts as this
 WINDOW = 4  # blocks of the likelihood ratio
@@ -73,20 +74,21 @@ def cut(run: Run, imu: ImuLog, length: float) -> Blocks:
     mean, noise, calm, even, white = _gyro(gz, start, cells / RATE)
     moving = _others(imu, start) | _wheels(run.wheels, ends, cells / RATE) | _commanded(run, ends, cells / RATE)
     calm &= ~moving
-    lost, holes = _gaps(t, gz, ends)
+    # Of bursts, where the typical step is far below the mean, a pause is one against the mean.
+    lost, holes = _gaps(t, gz, ends, PAUSE * max(1.0, mean_step / typical_step(t)))
     notes = (f"{holes} gaps in the stamps: there the heading leans on the readings beside them",) if holes else ()
     kelvin = _kelvin(imu, start)
     time = np.full(count, cells / RATE)
     return Blocks(ends, time, angle, lost, mean, noise, kelvin, calm, calm & even, out, turned, cells, white, notes)
 
 
-def _gaps(t: Floats, gz: npt.NDArray[np.floating], ends: Floats) -> tuple[Floats, int]:
+def _gaps(t: Floats, gz: npt.NDArray[np.floating], ends: Floats, factor: float) -> tuple[Floats, int]:
     """(K,) variance of the angle that gaps hide, spread evenly over each gap, and how many there are.
 
     The rate in a gap is taken as somewhere between those beside it, all the gap long.
     """
     lost = np.zeros(len(ends))
-    found = gaps(t)
+    found = gaps(t, factor)
     for low, high in found:
         i, j = np.searchsorted(t, (low, high))
         before, after = float(np.mean(gz[max(0, i - 9) : i + 1])), float(np.mean(gz[j : j + 10]))

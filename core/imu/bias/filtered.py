@@ -22,26 +22,30 @@ from core.sensors import ImuLog
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
+FAST = 0.8  # of the Gauss-Markov sd: flicker too fast for means at rest to show, yet part of the bias
+
 
 @dataclass(frozen=True)
 class FilterConfig:
     """block [s]; tail: sd of the rate left when a rest is first taken for one, in units of the noise of a second's
     mean; tail_tau [s] its correlation time; tail_fade [s] in which its sd dies out; gate: deviations between a rest's
-    mean and the bias; patience [s]: a rest that is steady for so long at another mean is believed; first_sd [rad/s]
-    of the bias before anything is known; noise: of the gyro, learnt from the run's own rests where None.
+    mean and the bias; enter: the same where a rest begins; patience [s]: a rest that is steady for so long at another
+    mean is believed; first_sd [rad/s] of the bias before anything is known; noise: of the gyro, learnt from the run's
+    own rests where None.
     """
 
     block: float = 0.2
-    tail: float = 5.0
+    tail: float = 4.0
     tail_tau: float = 1.5
     tail_fade: float = 1.5
     gate: float = 4.0
+    enter: float = 2.0
     patience: float = 30.0
-    first_sd: float = 0.5
+    first_sd: float = 0.2
     noise: BiasNoise | None = None
 
     def __post_init__(self) -> None:
-        for name in ("block", "tail", "tail_tau", "tail_fade", "gate", "patience", "first_sd"):
+        for name in ("block", "tail", "tail_tau", "tail_fade", "gate", "enter", "patience", "first_sd"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 raise ParameterError(f"{name} is {value}, expected over 0", parameter=name, found=value)
@@ -113,6 +117,7 @@ def _setting(noise: BiasNoise, blocks: Blocks, config: FilterConfig) -> Floats:
             slope,
             config.patience / blocks.time[0],
             config.tail_fade,
+            config.enter,
         ]
     )
 
@@ -172,7 +177,7 @@ def _result(
         blocks.out,
         theta - theta[0],
         bias[at, 0],
-        np.sqrt(np.maximum(bias[at, 1], 0.0)),
+        np.sqrt(np.maximum(bias[at, 1], 0.0) + (FAST * noise.sd) ** 2),
         np.sqrt(np.maximum(np.where(blocks.out > blocks.out[0], heading[at, 1], 0.0), 0.0)),
         calm,
         SegmentVerdicts(blocks.t - blocks.time / 2, blocks.mean, verdict),

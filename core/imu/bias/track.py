@@ -17,7 +17,9 @@ from core.run import Run
 from core.sensors import ImuLog
 
 LARGEST = 35.0  # rad/s: 2000 deg/s, the widest range of a MEMS gyro
-NOISIEST = 0.05  # rad/s, of a reading at rest
+FAST = 6.0  # rad/s: more than robots turn
+NOISIEST = 0.05  # rad/s, of a reading at rest; a MEMS gyro has a tenth of it
+NOISIEST_DENSITY = 0.004  # rad/s/sqrt(Hz), of the same
 
 
 @dataclass(frozen=True)
@@ -103,10 +105,12 @@ def _oddities(gz: npt.NDArray[np.floating], least: float, most: float, made: Bia
     from core.imu.bias._blocks_numba import at_limit
 
     notes: tuple[str, ...] = ()
-    noise = made.figures.get("sigma_sr", 0.0)
-    if max(abs(least), abs(most)) > LARGEST or noise > NOISIEST:
+    largest = max(abs(least), abs(most))
+    noisy = made.figures.get("sigma_sr", 0.0) > NOISIEST and largest > FAST
+    dense = made.figures.get("N", 0.0) > NOISIEST_DENSITY and bool((made.segments.verdict == ACCEPTED).any())
+    if largest > LARGEST or noisy or dense:
         notes += (
-            f"The readings reach {max(abs(least), abs(most)):.4g} rad/s: are they in deg/s? "
+            f"The readings reach {largest:.4g} rad/s: are they in deg/s? "
             f"Wanted are rad/s, {180 / np.pi:.4g} times less.",
         )
     stuck = at_limit(gz, least, most)
