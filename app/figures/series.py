@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from tsdownsample import MinMaxLTTBDownsampler
+from tsdownsample import MinMaxDownsampler, MinMaxLTTBDownsampler
 
 from core.errors import ParameterError
 
 MIN_POINTS, MAX_POINTS = 10, 20_000
 _THIN: Any = MinMaxLTTBDownsampler()  # type: ignore[no-untyped-call]
+_EXTREMES: Any = MinMaxDownsampler()  # type: ignore[no-untyped-call]
 Array = npt.NDArray[Any]
 
 
@@ -61,8 +62,9 @@ def thin(t: Array, y: Array, points: int) -> tuple[npt.NDArray[np.float64], Arra
 def thin_rows(t: Array, y: Array, points: int) -> npt.NDArray[Any]:
     """Which readings `thin` keeps."""
     # time as x: bins of equal duration, so that a burst of readings doesn't starve the rest
-    rows: npt.NDArray[Any] = _THIN.downsample(t, y, n_out=points)
-    return rows
+    rows: npt.NDArray[Any] = _THIN.downsample(t, y, n_out=points - 2)
+    # triangles may pass over the largest reading beside a smallest one; the window's own extremes always stay
+    return np.union1d(rows, _EXTREMES.downsample(y, n_out=2))
 
 
 def series(column: str, unit: str, label: str, t: Array, y: Array, points: int) -> Series:
