@@ -22,7 +22,7 @@ from core.sensors import ImuLog
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
-FAST = 0.8  # of the Gauss-Markov sd: flicker too fast for means at rest to show, yet part of the bias
+FAST = 0.8  # of the Gauss-Markov sd, found and usual: flicker too fast for means at rest to show, yet part of the bias
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,9 @@ class FilterConfig:
     """
 
     block: float = 0.2
-    tail: float = 4.0
-    tail_tau: float = 1.5
-    tail_fade: float = 1.5
+    tail: float = 1.5
+    tail_tau: float = 2.5
+    tail_fade: float = 1.0
     gate: float = 4.0
     enter: float = 2.0
     patience: float = 30.0
@@ -177,7 +177,7 @@ def _result(
         blocks.out,
         theta - theta[0],
         bias[at, 0],
-        np.sqrt(np.maximum(bias[at, 1], 0.0) + (FAST * noise.sd) ** 2),
+        np.sqrt(np.maximum(bias[at, 1], 0.0) + FAST**2 * (noise.sd**2 + usual(noise.N).sd ** 2)),
         np.sqrt(np.maximum(np.where(blocks.out > blocks.out[0], heading[at, 1], 0.0), 0.0)),
         calm,
         SegmentVerdicts(blocks.t - blocks.time / 2, blocks.mean, verdict),
