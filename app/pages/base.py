@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -16,9 +17,10 @@ from fastapi.responses import HTMLResponse, JSONResponse
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup
 
-from app.paths import TEMPLATES
+from app.paths import STATIC, TEMPLATES
 
 THEMES = ("auto", "dark", "light")
+_IMPORT = re.compile(r"""^(?:import|export)\b[^;]*?["'](\.[^"']+)["']""", re.MULTILINE)
 Handler = TypeVar("Handler", bound=Callable[..., Any])
 
 
@@ -83,6 +85,22 @@ def environment() -> Environment:
     return env
 
 
+@cache
+def modules(template: str) -> tuple[str, ...]:
+    """The scripts of a page under `static/`, imports of imports included; none for a page without a script."""
+    found: list[str] = []
+    waiting = [STATIC / "lib" / "frame.js", STATIC / "pages" / f"{template.removesuffix('.html')}.js"]
+    while waiting:
+        path = waiting.pop(0)
+        name = path.relative_to(STATIC).as_posix()
+        if name in found or not path.is_file():
+            continue
+        found.append(name)
+        if not name.startswith("vendor/"):
+            waiting += [(path.parent / i).resolve() for i in _IMPORT.findall(path.read_text(encoding="utf-8"))]
+    return tuple(found)
+
+
 def as_dict(page: Page) -> dict[str, Any]:
     """The context as plain data: what the template gets and what the JSON twin says."""
     return {f.name: getattr(page, f.name) for f in dataclasses.fields(page)}
@@ -100,7 +118,9 @@ def html(request: Request, page: Page) -> str:
     theme = request.cookies.get("theme", "auto")
     template = environment().get_template(page.template)
     shown = theme if theme in THEMES else "auto"
-    return template.render(as_dict(page), place=page.place, theme=shown, request=request)
+    return template.render(
+        as_dict(page), place=page.place, theme=shown, request=request, modules=modules(page.template)
+    )
 
 
 def route(router: APIRouter, path: str) -> Callable[[Handler], Handler]:
