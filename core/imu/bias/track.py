@@ -107,7 +107,7 @@ def _oddities(gz: npt.NDArray[np.floating], least: float, most: float, made: Bia
     notes: tuple[str, ...] = ()
     largest = max(abs(least), abs(most))
     noisy = made.figures.get("sigma_sr", 0.0) > NOISIEST and largest > FAST
-    dense = made.figures.get("N", 0.0) > NOISIEST_DENSITY and bool((made.segments.verdict == ACCEPTED).any())
+    dense = made.figures.get("N", 0.0) > NOISIEST_DENSITY and float((made.segments.verdict == ACCEPTED).mean()) > 0.1
     if largest > LARGEST or noisy or dense:
         notes += (
             f"The readings reach {largest:.4g} rad/s: are they in deg/s? "

@@ -59,7 +59,6 @@ def test_twelve_hours_with_one_setting() -> None:
     # Knowing every rest gives 4 to 8 degrees on these: what the bias does in movement, nobody sees.
     assert middle["lively best"] < 9.0
     assert middle["lively smoothed"] <= 1.05 * middle["lively best"]
-    assert middle["lively best"] < 2.0 * middle["lively known"]
 
 
 def test_claimed_deviations_are_honest() -> None:
