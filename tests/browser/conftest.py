@@ -37,14 +37,6 @@ PATIENCE_MS = 60_000  # for what a slow, shared machine may take; nothing waits 
 expect.set_options(timeout=PATIENCE_MS)
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """All browser tests in one worker, so that they share one server and one browser."""
-    for item in items:
-        if item.path.is_relative_to(Path(__file__).parent):
-            item.add_marker(pytest.mark.browser)
-            item.add_marker(pytest.mark.xdist_group("browser"))
-
-
 @dataclass
 class Server:
     """A running `driftscope serve`: `url`, its data folder, and a client of its API."""

@@ -9,6 +9,8 @@ import pytest
 from conftest import Server
 from playwright.sync_api import Page, expect
 
+pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("browser")]  # one server and one browser for all of them
+
 ERROR = '[data-chart="error-xy"]'
 
 

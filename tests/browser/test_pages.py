@@ -10,6 +10,8 @@ import pytest
 from conftest import ROOT, Server
 from playwright.sync_api import Page, expect
 
+pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("browser")]  # one server and one browser for all of them
+
 PLACES = ["/runs", "/compare", "/jobs", "/about"]
 
 

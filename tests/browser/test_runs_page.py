@@ -13,8 +13,11 @@ import zlib
 from pathlib import Path
 from typing import Any
 
+import pytest
 from conftest import EXAMPLES, Server, Watch, zipped
 from playwright.sync_api import Locator, Page, expect
+
+pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("browser")]  # one server and one browser for all of them
 
 SQUARE = EXAMPLES / "square-with-disturbance"
 

@@ -10,6 +10,8 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page
 
+pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("browser")]  # one server and one browser for all of them
+
 PATIENCE_MS = 60_000  # software WebGL on a shared machine
 SMALL = {"width": 640, "height": 360}
 
