@@ -357,7 +357,7 @@ def test_opening_and_closing_leaves_no_threads_and_no_sockets() -> None:
     assert scenes.close_idle(0) == 6
     gc.collect()
     assert eventually(lambda: threading.active_count() <= threads)
-    assert len(list(Path("/proc/self/fd").iterdir())) <= files
+    assert eventually(lambda: len(list(Path("/proc/self/fd").iterdir())) <= files)
     scenes.stop()
 
 
