@@ -44,7 +44,7 @@ def describe(x: Floats, start: Ints) -> Floats:
         out[i, 5] = mean
         if n > 1:
             out[i, 6] = np.sqrt(m2 / (n - 1))
-        if m2 > 0:
+        if ordered[n - 1] > ordered[0]:
             out[i, 7] = (m3 / n) / (m2 / n) ** 1.5
             out[i, 8] = (m4 / n) / (m2 / n) ** 2
     return out
