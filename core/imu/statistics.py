@@ -97,7 +97,7 @@ def histogram(values: npt.ArrayLike, bins: int | None = None) -> Histogram:
         least, most = least - quantum / 2, most + quantum / 2
     count = max(1, int(np.ceil((most - least) / width - 1e-6)))
     even = least + width * np.arange(count + 1)
-    edges: Floats = even if quantum or not bins else np.linspace(least, most, count + 1, dtype=np.float64)
+    edges = np.asarray(even if quantum or not bins else np.linspace(least, most, count + 1), np.float64)
     edges[-1] = max(edges[-1], most)
     counts = np.histogram(finite, edges)[0].astype(np.int64)
     return Histogram(edges, counts, _expected(edges, finite))
