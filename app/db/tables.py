@@ -181,6 +181,48 @@ class Metric(Base):
     unit: Mapped[str] = mapped_column(String(20))
 
 
+class ImuResult(Base):
+    """One part of a run's IMU analysis (`app.jobs.imu`): `allan.gz`, `segments.ax`, `bias.C`, ...; what makes it again.
+
+    Where a part could not be computed, `error` says why ({code, detail, where}) and there are no arrays.
+    """
+
+    __tablename__ = "imu_results"
+    __table_args__ = (UniqueConstraint("run_id", "part"),)
+    id: Mapped[str] = mapped_column(String(16), primary_key=True)
+    run_id: Mapped[str] = mapped_column(ForeignKey("runs.id", ondelete="CASCADE"), index=True)
+    part: Mapped[str] = mapped_column(String(40))
+    job_id: Mapped[str | None] = mapped_column(String(16))
+    config: Mapped[dict[str, Any]]
+    code_version: Mapped[str] = mapped_column(String(80))
+    run_sha256: Mapped[str] = mapped_column(String(64))
+    created_at: Mapped[datetime] = mapped_column(default=now)
+    runtime_s: Mapped[float]
+    arrays: Mapped[dict[str, Any]]  # {name: array key}
+    figures: Mapped[dict[str, Any]]  # SI
+    notes: Mapped[list[Any]]
+    error: Mapped[dict[str, Any] | None]
+
+
+class Calibration(Base):
+    """A stored IMU error model (schema calibration/1), made from runs or uploaded, with what makes it again."""
+
+    __tablename__ = "calibrations"
+    id: Mapped[str] = mapped_column(String(16), primary_key=True)
+    name: Mapped[str] = mapped_column(String(200), index=True)
+    robot: Mapped[str | None] = mapped_column(String(200), index=True)
+    created_at: Mapped[datetime] = mapped_column(default=now)
+    job_id: Mapped[str | None] = mapped_column(String(16))
+    run_ids: Mapped[list[Any]]  # none where it was uploaded
+    run_sha256: Mapped[list[Any]]
+    config: Mapped[dict[str, Any]]
+    code_version: Mapped[str] = mapped_column(String(80))
+    runtime_s: Mapped[float]
+    result: Mapped[dict[str, Any]]  # calibration/1
+    report: Mapped[dict[str, Any]]  # curves and figures of the report, SI
+    notes: Mapped[list[Any]]
+
+
 class Diagnosis(Base):
     """A stored sim-to-real diagnosis (schema gap/1) with all that is needed to make it again."""
 
