@@ -1,0 +1,137 @@
+/* Driftscope firmware: Algorithm 1 of Kolhoff & Kemper (ICINCO 2021) for every sample, then the bias tracker. */
+#include "driftscope.h"
+
+#include <math.h>
+#include <stddef.h>
+
+static const float static_bias[DS_AXES] = DS_STATIC_BIAS;
+static const float drift_amplitude[DS_AXES] = DS_DRIFT_AMPLITUDE;
+static const float drift_rate[DS_AXES] = DS_DRIFT_RATE;
+static const float accel_inverse[3][3] = DS_ACCEL_INVERSE;
+static const float gyro_inverse[3][3] = DS_GYRO_INVERSE;
+
+#define HALF_RANGE 0x80000000U /* a step of the clock beyond this is one backwards */
+
+/* y = m x */
+static void multiply(const float m[3][3], const float x[3], float y[3])
+{
+    for (size_t i = 0U; i < 3U; i++) {
+        y[i] = (m[i][0] * x[0]) + (m[i][1] * x[1]) + (m[i][2] * x[2]);
+    }
+}
+
+/* Lines 4 to 6: an axis' drifting and static bias at this sample. The recursion g = (1 - T/Tc) g is kept as a
+ * compensated sum of its small changes: 1 - T/Tc itself, of a gyro's hour at 100 Hz, has two digits in float32. */
+static float bias_now(ds_sum *markov, size_t j, float dt)
+{
+    float share = dt * drift_rate[j];
+    if (share > 1.0f) { /* a pause longer than Tc: Euler's step would swing below zero */
+        share = 1.0f;
+    }
+    *markov = ds_sum_add(*markov, -(share * ds_sum_value(*markov)));
+    return static_bias[j] + (drift_amplitude[j] * ((1.0f - markov->hi) - markov->lo));
+}
+
+/* Line 7. The running sum would gather rounding for ever; so each time the ring begins anew it is replaced by a sum of
+ * the ring's own readings. */
+static void average_add(ds_average *average, float value)
+{
+    if (average->filled < DS_MA_LENGTH) {
+        average->total += value;
+        average->filled++;
+    } else {
+        average->total += value - average->ring[average->place];
+    }
+    average->ring[average->place] = value;
+    average->fresh += value;
+    average->place++;
+    if (average->place == DS_MA_LENGTH) {
+        average->place = 0U;
+        average->total = average->fresh;
+        average->fresh = 0.0f;
+    }
+}
+
+/* Mean of the last DS_MA_LENGTH readings, of those there are at first; 0 on an axis that never gave one. */
+static float average_value(const ds_average *average)
+{
+    return (average->filled > 0U) ? (average->total / (float)average->filled) : 0.0f;
+}
+
+/* Algorithm 1 for one sample: the corrected output, and the corrected rates of this instant in `now`. */
+static void correct(ds_state *state, const ds_input *in, float dt, float now[3])
+{
+    float mean[DS_AXES];
+    float instant[3];
+    for (size_t j = 0U; j < DS_AXES; j++) {
+        const float reading = (j < 3U) ? in->accel[j] : in->gyro[j - 3U];
+        const float bias = bias_now(&state->markov[j], j, dt);
+        const bool good = isfinite(reading) != 0;
+        if (good) {
+            average_add(&state->average[j], reading - bias);
+        }
+        mean[j] = average_value(&state->average[j]);
+        if (j >= 3U) {
+            instant[j - 3U] = good ? (reading - bias) : mean[j];
+        }
+    }
+    multiply(accel_inverse, &mean[0], state->last.accel); /* line 8 */
+    multiply(gyro_inverse, &mean[3], state->last.gyro);
+    multiply(gyro_inverse, instant, now);
+}
+
+static void track(ds_state *state, const ds_input *in, const float now[3])
+{
+    const ds_bias_input sample = {
+        .step_us = state->waited_us,
+        .rate = now[2],
+        .others = {now[0], now[1], in->accel[0], in->accel[1], in->accel[2]},
+        .temperature = in->temperature,
+        .moving = in->moving,
+    };
+    ds_bias_view view;
+    ds_bias_step(&state->bias, &sample, &view);
+    state->waited_us = 0U;
+    state->last.rate = now[2] - view.bias;
+    state->last.heading = view.heading;
+    state->last.heading_sd = view.heading_sd;
+    state->last.bias = view.bias;
+    state->last.bias_sd = view.bias_sd;
+    state->last.at_rest = view.at_rest;
+}
+
+void ds_init(ds_state *state, float uptime_s)
+{
+    const ds_state none = {.started = false};
+    *state = none;
+    for (size_t j = 0U; j < DS_AXES; j++) {
+        state->markov[j] = ds_sum_of(expf(-uptime_s * drift_rate[j]));
+    }
+    ds_bias_init(&state->bias);
+    state->last.bias_sd = DS_UNKNOWN;
+    state->last.heading_sd = DS_UNKNOWN;
+}
+
+ds_status ds_step(ds_state *state, const ds_input *in, ds_output *out)
+{
+    ds_status status = DS_OK;
+    const uint32_t step_us = state->started ? (in->t_us - state->last_us) : 0U;
+    if (state->started && ((step_us == 0U) || (step_us >= HALF_RANGE))) {
+        status = DS_BAD_TIME;
+    } else {
+        float now[3];
+        correct(state, in, ds_seconds(step_us), now);
+        if (state->waited_us < HALF_RANGE) { /* a longer wait without a rate is one of that length: no overflow */
+            state->waited_us += step_us;
+        }
+        if (isfinite(in->gyro[2]) != 0) {
+            track(state, in, now);
+        } else {
+            status = DS_BAD_READING;
+        }
+        state->last_us = in->t_us;
+        state->started = true;
+    }
+    *out = state->last;
+    return status;
+}
