@@ -10,8 +10,9 @@ from sqlalchemy.orm import Session
 
 from app.db.tables import Job
 from app.errors import NotFoundError
-from app.jobs import tasks
+from app.jobs import imu, tasks
 from app.settings import Settings
+from app.store import imu as imu_store
 from app.store import jobs, results, runs
 
 
@@ -45,7 +46,7 @@ def _ingest_arguments(session: Session, settings: Settings, job: Job) -> dict[st
 
 def _ingest_save(session: Session, settings: Settings, job: Job, manifest: dict[str, Any]) -> Saved:
     run = runs.add_run(session, manifest, is_example=bool(job.params.get("is_example")))
-    following = jobs.first_estimates(session, run.id)
+    following = jobs.first_jobs(session, run.id)
     return Saved({"run_id": run.id}, f"stored as {run.name}", run.id, following)
 
 
@@ -66,7 +67,22 @@ def _estimate_save(session: Session, settings: Settings, job: Job, made: dict[st
     return Saved({"run_id": job.run_id, "estimates": ids, "failed": made["failed"]}, message, job.run_id)
 
 
+def _imu_arguments(session: Session, settings: Settings, job: Job) -> dict[str, Any]:
+    assert job.run_id is not None
+    asked = {"axes": job.params.get("axes"), "methods": job.params.get("methods")}
+    return {"manifest": runs.manifest(session, job.run_id), **asked, "config": job.params.get("config") or {}}
+
+
+def _imu_save(session: Session, settings: Settings, job: Job, made: dict[str, Any]) -> Saved:
+    assert job.run_id is not None
+    parts = imu_store.save_parts(session, job.run_id, job.id, made["parts"])
+    failed = [p["part"] for p in made["parts"] if p["error"]]
+    message = f"{len(parts) - len(failed)} parts" + (f"; not possible: {', '.join(failed)}" if failed else "")
+    return Saved({"run_id": job.run_id, "parts": parts, "not_possible": failed}, message, job.run_id)
+
+
 KINDS: dict[str, Kind] = {
     "ingest": Kind("store an upload", tasks.ingest, _ingest_arguments, _ingest_save),
     "estimate": Kind("estimate paths", tasks.estimate, _estimate_arguments, _estimate_save),
+    "imu": Kind("analyse the IMU", imu.analyse, _imu_arguments, _imu_save),
 }

@@ -9,7 +9,7 @@ from typing import Any
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from app.db.tables import Estimate, Job, now
+from app.db.tables import Estimate, ImuResult, Job, Stream, now
 from app.errors import ConflictError, NotFoundError
 from core.errors import ParameterError
 
@@ -39,12 +39,20 @@ def create(session: Session, kind: str, run_id: str | None, params: Mapping[str,
     return job
 
 
-def first_estimates(session: Session, run_id: str) -> list[Job]:
-    """A queued job that estimates a newly stored run by every method; none if it has estimates, or waits for them."""
-    estimated = session.scalars(select(Estimate.id).filter_by(run_id=run_id).limit(1)).first()
-    if estimated or list_jobs(session, states=["active"], run_id=run_id, limit=1):
+def first_jobs(session: Session, run_id: str) -> list[Job]:
+    """Queued jobs for a newly stored run: all estimates, and where it has an IMU its analysis.
+
+    None of those that it has had, nor while any job on it waits or runs.
+    """
+    if list_jobs(session, states=["active"], run_id=run_id, limit=1):
         return []
-    return [create(session, "estimate", run_id, {"methods": None, "config": {}})]
+    made = []
+    if session.scalars(select(Estimate.id).filter_by(run_id=run_id).limit(1)).first() is None:
+        made.append(create(session, "estimate", run_id, {"methods": None, "config": {}}))
+    has_imu = session.scalars(select(Stream.id).filter_by(run_id=run_id, name="imu")).first() is not None
+    if has_imu and session.scalars(select(ImuResult.id).filter_by(run_id=run_id).limit(1)).first() is None:
+        made.append(create(session, "imu", run_id, {"axes": None, "methods": None, "config": {}}))
+    return made
 
 
 def get_job(session: Session, job_id: str, *, lock: bool = False) -> Job:

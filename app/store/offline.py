@@ -34,7 +34,7 @@ class Store:
         with writing(self._engine) as session:
             new = session.get(Run, manifest["id"]) is None
             run = runs.add_run(session, manifest)
-            jobs.first_estimates(session, run.id)
+            jobs.first_jobs(session, run.id)
             return {"id": run.id, "name": run.name, "new": new}
 
     def load(self, run_id: str) -> CoreRun:

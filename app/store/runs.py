@@ -12,7 +12,7 @@ from sqlalchemy import Engine, delete, select
 from sqlalchemy.orm import Session, selectinload
 
 from app.db.session import reading
-from app.db.tables import Estimate, Robot, Run, RunWords, Stream, Tag, now
+from app.db.tables import Estimate, ImuResult, Robot, Run, RunWords, Stream, Tag, now
 from app.errors import ConflictError, NotFoundError
 from app.settings import Settings
 from app.store import arrays
@@ -156,9 +156,9 @@ def purge(session: Session, undo_hours: float, at: datetime | None = None) -> in
 
 
 def collect_arrays(session: Session, data: Path, *, older_than: float = arrays.GRACE_S) -> int:
-    """Delete the arrays that no stored run or estimate names; bytes freed."""
+    """Delete the arrays that no stored run, estimate or IMU result names; bytes freed."""
     referenced: set[str] = set()
-    for table in (Stream.columns, Estimate.arrays):
+    for table in (Stream.columns, Estimate.arrays, ImuResult.arrays):
         for columns in session.scalars(select(table)):
             referenced.update(columns.values())
     return arrays.collect(data, referenced, older_than=older_than)
