@@ -1,0 +1,181 @@
+"""Compiled: pose errors as a random walk along a predicted path. Plain arrays in and out.
+
+The predicted path is set down anew at restarts, so the true pose is `path + d` with a small `d` (x, y, theta in the
+map) that jumps at every restart by what the old stretch's end and the new stretch's start differ. Within a stretch a
+heading error swings the way driven. `d` walks with the distance driven; readings of poses see it linearly.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+Array = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+compiled = njit(cache=True, nogil=True, error_model="numpy")
+
+TURN_WAY = 0.15
+"""A turn of one radian lets the pose walk as far as this way driven [m/rad]: half a small robot's track."""
+SIDE = 0.3
+"""Walk of the position [m] per walk of the heading [rad]."""
+
+
+@compiled
+def whiten_poses(
+    pose: Array, rows: Array, variance: Array, restart: Flags, jumps: Array, start: Array, walk: float, readings: Array
+) -> Array:
+    """Innovations of a Kalman filter, in place, for many right-hand sides at once.
+
+    pose (E, 3): predicted pose at each event, for a restart the old stretch's end; rows (E, 3): a reading's derivative
+    by d, variance (E,): its noise; restart (E,): whether the event is one, then rows holds the new stretch's start.
+    jumps (K, 3, M): what d gains at each restart; start (3, 3): covariance of d at first. walk: the heading's, in
+    rad per root of m driven. readings (E, M): residual and columns of Jacobian; becomes innovations over their
+    standard deviation, zero at restarts and where the variance is infinite. Returns (E,) log variances (0 there).
+    """
+    events, sides = readings.shape
+    d = np.zeros((3, sides))
+    p = start.copy()
+    gain, ph = np.empty(3), np.empty(3)
+    logs = np.zeros(events)
+    x, y, theta = pose[0, 0], pose[0, 1], pose[0, 2]
+    k = 0
+    for i in range(events):
+        dx, dy = pose[i, 0] - x, pose[i, 1] - y
+        way = np.sqrt(dx * dx + dy * dy) + TURN_WAY * abs(pose[i, 2] - theta)
+        x, y, theta = pose[i, 0], pose[i, 1], pose[i, 2]
+        for m in range(sides):
+            d[0, m] -= dy * d[2, m]
+            d[1, m] += dx * d[2, m]
+        c0, c1, c2 = p[0, 2] - dy * p[2, 2], p[1, 2] + dx * p[2, 2], p[2, 2]
+        p00 = p[0, 0] - dy * (p[0, 2] + c0)
+        p01 = p[0, 1] - dy * p[1, 2] + dx * c0
+        p11 = p[1, 1] + dx * (p[1, 2] + c1)
+        q = walk * walk * way
+        p[0, 0], p[1, 1], p[2, 2] = p00 + SIDE * SIDE * q, p11 + SIDE * SIDE * q, c2 + q
+        p[0, 1], p[1, 0], p[0, 2], p[2, 0], p[1, 2], p[2, 1] = p01, p01, c0, c0, c1, c1
+        if restart[i]:
+            for m in range(sides):
+                d[0, m] += jumps[k, 0, m]
+                d[1, m] += jumps[k, 1, m]
+                d[2, m] += jumps[k, 2, m]
+                readings[i, m] = 0.0
+            x, y, theta = rows[i, 0], rows[i, 1], rows[i, 2]
+            k += 1
+            continue
+        if not np.isfinite(variance[i]):
+            for m in range(sides):
+                readings[i, m] = 0.0
+            continue
+        h0, h1, h2 = rows[i, 0], rows[i, 1], rows[i, 2]
+        s = variance[i]
+        for a in range(3):
+            ph[a] = p[a, 0] * h0 + p[a, 1] * h1 + p[a, 2] * h2
+        s += h0 * ph[0] + h1 * ph[1] + h2 * ph[2]
+        for a in range(3):
+            gain[a] = ph[a] / s
+        root = 1.0 / np.sqrt(s)
+        logs[i] = np.log(s)
+        for m in range(sides):
+            e = readings[i, m] - (h0 * d[0, m] + h1 * d[1, m] + h2 * d[2, m])
+            d[0, m] += gain[0] * e
+            d[1, m] += gain[1] * e
+            d[2, m] += gain[2] * e
+            readings[i, m] = e * root
+        for a in range(3):
+            for b in range(3):
+                p[a, b] -= gain[a] * ph[b]
+    return logs
+
+
+@compiled
+def step(pose: Array, increment: Array) -> Array:
+    """A pose, moved by an increment (x, y, theta) in its own frame."""
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    out = np.empty(3)
+    out[0] = pose[0] + c * increment[0] - s * increment[1]
+    out[1] = pose[1] + s * increment[0] + c * increment[1]
+    out[2] = pose[2] + increment[2]
+    return out
+
+
+@compiled
+def predicted(kind: int, pose: Array, tag: Array, anchor: Array) -> tuple[float, float, float, float]:
+    """(reading, its derivative by x, y, theta) of a fix's x, y, theta (kind 0, 1, 2) or a range (3)."""
+    if kind == 2:
+        return pose[2], 0.0, 0.0, 1.0
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    tx, ty = c * tag[0] - s * tag[1], s * tag[0] + c * tag[1]
+    if kind == 0:
+        return pose[0] + tx, 1.0, 0.0, -ty
+    if kind == 1:
+        return pose[1] + ty, 0.0, 1.0, tx
+    dx, dy, dz = pose[0] + tx - anchor[0], pose[1] + ty - anchor[1], tag[2] - anchor[2]
+    far = max(np.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
+    return far, dx / far, dy / far, (dy * tx - dx * ty) / far
+
+
+@compiled
+def smooth_poses(
+    increments: Array,
+    kinds: npt.NDArray[np.int64],
+    values: Array,
+    variance: Array,
+    tag: Array,
+    anchors: Array,
+    start: Array,
+    start_sd: Array,
+    walk: float,
+    gate: float,
+) -> tuple[Array, Array]:
+    """Extended Kalman filter over events, then the fixed-interval smoother: poses (E, 3) and their variances (E, 3).
+
+    increments (E, 3): motion in the body since the event before. kinds, values, variance (E,): the readings (kind -1:
+    none); anchors (E, 3): the beacon of a range. A reading off by more than `gate` deviations counts by its square
+    root: outliers pull little, a wrong start still comes back.
+    """
+    events = increments.shape[0]
+    post, cov = np.empty((events, 3)), np.empty((events, 3, 3))
+    prior, prior_cov = np.empty((events, 3)), np.empty((events, 3, 3))
+    swings = np.empty((events, 2))
+    pose, p = start.copy(), np.diag(start_sd**2)
+    for i in range(events):
+        moved = step(pose, increments[i])
+        dx, dy = moved[0] - pose[0], moved[1] - pose[1]
+        way = np.sqrt(dx * dx + dy * dy) + TURN_WAY * abs(increments[i, 2])
+        pose = moved
+        f = np.eye(3)
+        f[0, 2], f[1, 2] = -dy, dx
+        swings[i] = np.array((dx, dy))
+        p = f @ p @ f.T
+        q = walk * walk * way + 1e-12
+        p[0, 0] += SIDE * SIDE * q
+        p[1, 1] += SIDE * SIDE * q
+        p[2, 2] += q
+        prior[i], prior_cov[i] = pose, p
+        if kinds[i] >= 0 and np.isfinite(values[i]):
+            far, h0, h1, h2 = predicted(kinds[i], pose, tag, anchors[i])
+            h = np.array((h0, h1, h2))
+            e = values[i] - far
+            if kinds[i] == 2:
+                e = (e + np.pi) % (2.0 * np.pi) - np.pi
+            ph = p @ h
+            s = h @ ph + variance[i]
+            ratio = abs(e) / np.sqrt(s)
+            if ratio > gate:
+                s = h @ ph + variance[i] * (ratio / gate) ** 2
+            k = ph / s
+            pose = pose + k * e
+            p = p - np.outer(k, ph)
+        post[i], cov[i] = pose, p
+    sd = np.empty((events, 3))
+    for i in range(events - 1, -1, -1):
+        if i < events - 1:
+            f = np.eye(3)
+            f[0, 2], f[1, 2] = -swings[i + 1, 1], swings[i + 1, 0]
+            g = np.linalg.solve(prior_cov[i + 1], f @ cov[i]).T
+            post[i] = post[i] + g @ (post[i + 1] - prior[i + 1])
+            cov[i] = cov[i] + g @ (cov[i + 1] - prior_cov[i + 1]) @ g.T
+        for a in range(3):
+            sd[i, a] = cov[i, a, a]
+    return post, sd

@@ -1,0 +1,149 @@
+"""The noise floor of each channel, from the data themselves: high differences see noise, not motion.
+
+A third difference of the residual leaves white noise (its variance times 20) and next to nothing of what an unmodelled
+effect does, for that varies slowly against the sampling. Medians keep edges and outliers out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from core.gap.world import POSES, WHEELS, World
+from core.run import Run
+
+Array = npt.NDArray[np.float64]
+
+NORMAL_MEDIAN = 0.67449
+"""Median size of a standard normal number."""
+THIRD = np.sqrt(20.0)
+"""Standard deviation of a third difference of unit white noise."""
+FEW = 30
+"""Fewer third differences than this say nothing of the noise."""
+FALLBACK = {"imu.gz": 2e-3, "imu.ax": 0.05, "imu.ay": 0.05, "ranges.range": 0.05, "beacon.theta": 0.05}
+TRUTH_SHEET = 0.001
+"""Of a truth that states no noise [m, rad]."""
+
+
+@dataclass(frozen=True)
+class Floor:
+    """White noise per channel, one sigma per reading; `sd` is its own relative uncertainty; `sheet` what is stated.
+
+    vibration: k of sd² = sigma² + (k*v)² for both accelerometer axes. walk: how the pose strays from the model, in rad
+    of heading per root of m driven.
+    """
+
+    sigma: Mapping[str, float]
+    sd: Mapping[str, float]
+    sheet: Mapping[str, float]
+    vibration: float = 0.0
+    walk: float = 1e-5
+
+
+def wrap(values: Array) -> Array:
+    """Angles to -pi .. pi."""
+    out: Array = (values + np.pi) % (2.0 * np.pi) - np.pi
+    return out
+
+
+def stated(run: Run) -> dict[str, float]:
+    """The data sheet's sigma of each channel; what it does not state is left out (truth: 1 mm, 1 mrad)."""
+    noise, robot = run.meta.noise, run.meta.robot
+    out = {"truth.x": noise.truth_xy or TRUTH_SHEET, "truth.y": noise.truth_xy or TRUTH_SHEET}
+    out["truth.theta"] = noise.truth_theta or TRUTH_SHEET
+    if robot.ticks_per_rev:
+        out |= dict.fromkeys(WHEELS, 2.0 * np.pi / robot.ticks_per_rev / np.sqrt(6.0))
+    root = np.sqrt(run.imu.rate / 2.0) if run.imu is not None else 0.0
+    if noise.gyro_density:
+        out["imu.gz"] = noise.gyro_density * root
+    if noise.accel_density:
+        out |= dict.fromkeys(("imu.ax", "imu.ay"), noise.accel_density * root)
+    if noise.beacon_xy:
+        out |= dict.fromkeys(("beacon.x", "beacon.y"), noise.beacon_xy)
+    for name, value in (("beacon.theta", noise.beacon_theta), ("ranges.range", noise.range)):
+        if value:
+            out[name] = value
+    return {name: float(value) for name, value in out.items()}
+
+
+def third_differences(world: World, name: str, residual: Array) -> Array:
+    """Third differences in units of the noise; of ranges, each beacon's own."""
+    if name != "ranges.range" or world.run.ranges is None:
+        return np.diff(residual, 3) / THIRD
+    beacon = world.run.ranges.beacon[world.keep(name)]
+    order = np.argsort(beacon, kind="stable")
+    far = np.diff(residual[order], 3) / THIRD
+    same = beacon[order][3:] == beacon[order][:-3]
+    return far[same]
+
+
+def measure(worlds: list[World], residuals: list[Mapping[str, Array]], speeds: list[Array | None]) -> Floor:
+    """The floor that all runs share. residuals: per run and channel; speeds: forward speed at the IMU's stamps."""
+    sheet = stated(worlds[0].run)
+    sigma: dict[str, float] = {}
+    sd: dict[str, float] = {}
+    names = [name for name in (*WHEELS, "imu.gz", "imu.ax", "imu.ay", *POSES) if any(name in r for r in residuals)]
+    for name in names:
+        far = np.concatenate(
+            [third_differences(w, name, r[name]) for w, r in zip(worlds, residuals, strict=True) if name in r]
+        )
+        if name in WHEELS:
+            far = far[far != 0.0]  # a wheel at rest shows no rounding
+        if len(far) < FEW:
+            sigma[name], sd[name] = sheet.get(name, FALLBACK.get(name, 0.05)), 1.0
+            continue
+        sigma[name] = float(np.median(np.abs(far))) / NORMAL_MEDIAN
+        sd[name] = 1.5 / float(np.sqrt(len(far)))
+        if name in WHEELS and name in sheet:  # rounding is no white noise: its differences say more than there is
+            rounding = sheet[name] / np.sqrt(2.0)
+            sigma[name] = rounding if sigma[name] < 2.0 * rounding else sigma[name]
+        sigma[name] = max(sigma[name], 0.05 * sheet.get(name, 0.0), 1e-9)
+    vibration = 0.0
+    if "imu.ax" in sigma and "imu.ay" in sigma:
+        sigma, vibration = _vibration(worlds, residuals, speeds, sigma)
+    return Floor(sigma=sigma, sd=sd, sheet=sheet, vibration=vibration)
+
+
+def _vibration(
+    worlds: list[World], residuals: list[Mapping[str, Array]], speeds: list[Array | None], sigma: dict[str, float]
+) -> tuple[dict[str, float], float]:
+    """Accelerometer noise that grows with speed: median squares of differences in classes of speed, a line through."""
+    squares, still, speed = [], [], []
+    for name in ("imu.ax", "imu.ay"):
+        far, v = [], []
+        for world, residual, fast in zip(worlds, residuals, speeds, strict=True):
+            if name in residual and fast is not None:
+                far.append(third_differences(world, name, residual[name]))
+                v.append(np.abs(fast[world.keep(name)])[1:-2])
+        if not far:
+            return sigma, 0.0
+        squares.append(np.concatenate(far))
+        speed.append(np.concatenate(v))
+        still.append(name)
+    top = max(float(v.max(initial=0.0)) for v in speed)
+    if top < 0.05:
+        return sigma, 0.0
+    edges = np.linspace(0.0, top, 9)
+    design, target, weight = [], [], []
+    for axis, (far, v) in enumerate(zip(squares, speed, strict=True)):
+        for a, b in zip(edges[:-1], edges[1:], strict=True):
+            inside = (v >= a) & (v <= b)
+            n = int(inside.sum())
+            if n >= FEW:
+                level = (float(np.median(np.abs(far[inside]))) / NORMAL_MEDIAN) ** 2
+                row = [0.0, 0.0, float(np.mean(v[inside] ** 2))]
+                row[axis] = 1.0
+                design.append(row)
+                target.append(level)
+                weight.append(np.sqrt(n) / level)
+    x, y, w = np.array(design), np.array(target), np.array(weight)
+    if len(x) < 4 or np.linalg.matrix_rank(x) < 3:
+        return sigma, 0.0
+    base_x, base_y, k2 = np.linalg.lstsq(x * w[:, None], y * w, rcond=None)[0]
+    cov = np.linalg.inv((x * w[:, None]).T @ (x * w[:, None])) * 1.8
+    if k2 <= 4.0 * np.sqrt(cov[2, 2]) or min(base_x, base_y) <= 0.0:
+        return sigma, 0.0
+    return {**sigma, "imu.ax": float(np.sqrt(base_x)), "imu.ay": float(np.sqrt(base_y))}, float(np.sqrt(k2))
