@@ -6,7 +6,7 @@ algorithms are plain C beside this file (`c/`); only the header of constants is 
 
 from __future__ import annotations
 
-from core.firmware.constants import Noise
+from core.firmware.constants import Noise, noise_of_allan
 from core.firmware.source import TRACKERS, Firmware, firmware, generate
 
-__all__ = ["TRACKERS", "Firmware", "Noise", "firmware", "generate"]
+__all__ = ["TRACKERS", "Firmware", "Noise", "firmware", "generate", "noise_of_allan"]

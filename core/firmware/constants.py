@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from core.calibration.imu import AXES, Constants, ImuCalibration, constants
-from core.errors import ParameterError
+from core.calibration.imu import AXES, Constants, ImuCalibration, SensorModel, constants
+from core.errors import FormatError, ParameterError
 from core.imu.bias import BiasNoise, SegmentConfig
+from core.imu.bias.drift import usual
 from core.imu.segments import RANGE_FACTOR
 
 Floats = npt.NDArray[np.float64]
@@ -40,28 +41,55 @@ class Noise:
             )
 
 
+def noise_of_allan(data: object) -> Noise:
+    """Noise of an allan/1 object of imu.gz: N, K and, as the Gauss-Markov deviation, B. Where K or B is null, a usual
+    gyro's of that N. Raises FormatError for what is no such object or has no N."""
+    if not isinstance(data, Mapping) or data.get("schema") != "allan/1":
+        raise FormatError("expected the JSON of `allan`, schema allan/1", expected="allan/1")
+    if data.get("axis") != "imu.gz":
+        raise FormatError(f"these are figures of {data.get('axis')!r}, expected imu.gz", found=data.get("axis"))
+    N, B, K = (_figure(data, name) for name in ("N", "B", "K"))
+    if N is None:
+        raise FormatError("N is null: the record does not show the white noise", column="N")
+    typical = usual(N)
+    return Noise(drift=BiasNoise(N, typical.K if K is None else K, typical.sd if B is None else B, typical.tau))
+
+
+def _figure(data: Mapping[str, object], name: str) -> float | None:
+    value = data.get(name)
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not (math.isfinite(value) and value > 0):
+        raise FormatError(f"{name} is {value!r}, expected a number over 0 or null", column=name, found=repr(value))
+    return float(value)
+
+
 @dataclass(frozen=True)
 class Constant:
-    """One #define: its C text, unit ("" where it has none) and what it is and comes from."""
+    """One #define: its C text, unit ("" where it has none) and what it is and comes from. An array has one text and
+    one origin per row."""
 
     name: str
-    text: str
+    text: str | tuple[str, ...]
     unit: str
     note: str
+    origins: tuple[str, ...] = ()
 
 
 def algorithm1(calibration: ImuCalibration) -> tuple[Constants, list[Constant]]:
     """Algorithm 1's numbers, and their part of the header. Raises ParameterError for those no sensor has."""
     made = constants(calibration)
     _plausible(calibration, made)
-    unit = "m/s^2 and rad/s"
+    unit = "m/s^2, rad/s"
+    bias, drift = _origins(calibration, "static_bias"), _origins(calibration, "drift_amplitude")
+    tau = _origins(calibration, "drift_tau")
     rows = [
-        Constant("DS_STATIC_BIAS", vector(made.static), unit, "bias when switched on" + _origin(calibration, "bias")),
-        Constant("DS_DRIFT_AMPLITUDE", vector(made.drift), unit, "drift to come" + _origin(calibration, "drift")),
-        Constant("DS_DRIFT_RATE", vector(made.rate), "1/s", "1 / time constant of the drift; 0: none is removed"),
-        Constant("DS_ACCEL_INVERSE", matrix(made.inverse[0]), "", "inverse of the matrix M" + _gaps(calibration, 0)),
-        Constant("DS_GYRO_INVERSE", matrix(made.inverse[1]), "", "the same of the gyro" + _gaps(calibration, 1)),
-        Constant("DS_MA_LENGTH", f"{made.window}U", "samples", "moving average; Kolhoff & Kemper take 40"),
+        Constant("DS_STATIC_BIAS", vector(made.static), unit, "bias at switching on", bias),
+        Constant("DS_DRIFT_AMPLITUDE", vector(made.drift), unit, "bias that builds up while warming", drift),
+        Constant("DS_DRIFT_RATE", vector(made.rate), "1/s", "1 / time in which it does; 0: it does not", tau),
+        Constant("DS_ACCEL_INVERSE", matrix(made.inverse[0]), "", "inverse of M", _matrix_origins(calibration.accel)),
+        Constant("DS_GYRO_INVERSE", matrix(made.inverse[1]), "", "inverse of M", _matrix_origins(calibration.gyro)),
+        Constant("DS_MA_LENGTH", f"{made.window}U", "samples", "moving average; Kolhoff & Kemper's"),
     ]
     return made, rows
 
@@ -71,7 +99,7 @@ def _plausible(calibration: ImuCalibration, made: Constants) -> None:
         j = int(np.argmax(np.abs(values) / LARGEST))
         if abs(values[j]) > LARGEST[j]:
             raise ParameterError(
-                f"{name} of {AXES[j]} is {values[j]:g}, more than any such sensor reads; expected SI (rad/s, not deg/s)",
+                f"{name} of {AXES[j]} is {values[j]:g}, more than any such sensor reads; expected SI units",
                 parameter=name,
                 found=float(values[j]),
                 expected=float(LARGEST[j]),
@@ -87,30 +115,36 @@ def _plausible(calibration: ImuCalibration, made: Constants) -> None:
             )
 
 
-def _origin(calibration: ImuCalibration, part: str) -> str:
-    """Per axis: from the calibration, with its deviation, or a decision."""
-    shown = []
+def _origins(calibration: ImuCalibration, key: str) -> tuple[str, ...]:
+    """By AXES: from the calibration, with its deviation, or what stands in for it."""
+    out = []
     for name in ("accel", "gyro"):
-        model, sd = getattr(calibration, name), getattr(calibration.sd, name)
-        known = np.isfinite(model.static_bias) if part == "bias" else model.drifts
-        spread = sd.static_bias if part == "bias" else sd.drift_amplitude
-        for j in range(3):
-            stated = f"sd {spread[j]:.1e}" if np.isfinite(spread[j]) else "sd not stated"
-            shown.append(stated if known[j] else "not shown: 0")
-    return "; calibration: " + ", ".join(f"{axis} {text}" for axis, text in zip(AXES, shown, strict=True))
+        model, sd = getattr(calibration, name), getattr(getattr(calibration.sd, name), key)
+        known = np.isfinite(model.static_bias) if key == "static_bias" else model.drifts
+        stated = [f", sd {s:.2g}{' s' if key == 'drift_tau' else ''}" if np.isfinite(s) else "" for s in sd]
+        out += [
+            f"calibration{text}" if k else "NOT SHOWN by the calibration: 0"
+            for k, text in zip(known, stated, strict=True)
+        ]
+    return tuple(f"{axis}: {text}" for axis, text in zip(AXES, out, strict=True))
 
 
-def _gaps(calibration: ImuCalibration, s: int) -> str:
-    given = (calibration.accel, calibration.gyro)[s].matrix
-    if np.isfinite(given).all():
-        return "; calibration"
-    if np.isnan(given).all():
-        return "; not shown by the calibration: identity"
-    return "; calibration, with elements of the identity where it shows none"
+def _matrix_origins(model: SensorModel) -> tuple[str, ...]:
+    texts = {3: "calibration", 0: "NOT SHOWN by the calibration: identity"}
+    counts = np.isfinite(model.matrix).sum(axis=1)
+    return tuple(texts.get(int(n), "calibration, and identity where NOT SHOWN") for n in counts)
 
 
-def common(rate_hz: float) -> list[Constant]:
-    """What does not depend on calibration or tracker. Raises ParameterError for a rate that no IMU has."""
+def common() -> list[Constant]:
+    """What does not depend on calibration or tracker."""
+    return [
+        Constant("DS_UNKNOWN", "(-1.0f)", "", "a deviation that is not known"),
+        Constant("DS_NO_TEMPERATURE", "(-1000.0f)", "deg C", "where the IMU gives no temperature"),
+    ]
+
+
+def check_rate(rate_hz: float) -> None:
+    """Raises ParameterError for a rate that no IMU has."""
     if not (math.isfinite(rate_hz) and SLOWEST <= rate_hz <= FASTEST):
         raise ParameterError(
             f"the IMU's rate is {rate_hz:g} Hz, expected {SLOWEST:g} to {FASTEST:g}",
@@ -118,11 +152,6 @@ def common(rate_hz: float) -> list[Constant]:
             found=rate_hz,
             expected=[SLOWEST, FASTEST],
         )
-    return [
-        Constant("DS_RATE", number(rate_hz), "Hz", "of the IMU; as given"),
-        Constant("DS_UNKNOWN", "(-1.0f)", "", "a deviation that is not known"),
-        Constant("DS_NO_TEMPERATURE", "(-1000.0f)", "deg C", "where the IMU gives no temperature"),
-    ]
 
 
 def white(made: Constants, calibration: ImuCalibration, rate_hz: float, noise: Noise) -> tuple[float, str]:
@@ -162,9 +191,9 @@ def integer(value: float) -> str:
     return f"{round(value)}U"
 
 
-def vector(values: Floats | Sequence[float]) -> str:
-    return "{" + ", ".join(number(v) for v in values) + "}"
+def vector(values: Floats) -> tuple[str, ...]:
+    return tuple(number(float(v)) for v in values)
 
 
-def matrix(values: Floats) -> str:
-    return "{" + ", ".join(vector(row) for row in values) + "}"
+def matrix(values: Floats) -> tuple[str, ...]:
+    return tuple("{" + ", ".join(vector(row)) + "}" for row in values)

@@ -9,7 +9,7 @@ from importlib import resources
 
 from core.calibration.imu import ImuCalibration
 from core.errors import ParameterError
-from core.firmware.constants import Constant, Noise, algorithm1, common, method_c, white
+from core.firmware.constants import Constant, Noise, algorithm1, check_rate, common, method_c, white
 from core.imu.bias import SegmentConfig
 
 WIDTH = 118
@@ -68,21 +68,21 @@ def firmware(
             expected=list(TRACKERS),
         )
     tracker = TRACKERS[bias]
-    rows = common(rate_hz)
+    check_rate(rate_hz)
     made, own = algorithm1(calibration)
     tracked, notes = tracker.constants(calibration, rate_hz, noise or Noise())
     notes = made.notes + notes
     files = {name: _text(name) for name in FIXED}
     files["ds_bias.h"], files["ds_bias.c"] = _text(f"{tracker.stem}.h"), _text(f"{tracker.stem}.c")
-    files["ds_constants.h"] = header(rows + own + tracked, tracker.label, notes)
+    files["ds_constants.h"] = header(common() + own + tracked, tracker.label, rate_hz, notes)
     return Firmware(dict(sorted(files.items())), notes)
 
 
-def header(rows: list[Constant], label: str, notes: tuple[str, ...]) -> str:
+def header(rows: list[Constant], label: str, rate_hz: float, notes: tuple[str, ...]) -> str:
     """The text of ds_constants.h."""
     lines = [
         "/* Driftscope firmware: every constant, with its unit and where it came from. Made for one IMU; make it anew",
-        " * after each calibration. Axes: ax, ay, az, gx, gy, gz.",
+        f" * after each calibration. For an IMU read at {rate_hz:g} Hz; axes ax, ay, az, gx, gy, gz.",
         f" * Bias tracker: {label}.",
     ]
     if notes:
@@ -93,8 +93,16 @@ def header(rows: list[Constant], label: str, notes: tuple[str, ...]) -> str:
     for row in rows:
         remark = f"[{row.unit}] {row.note}" if row.unit else row.note
         lines += textwrap.wrap(f"/* {remark} */", WIDTH, subsequent_indent=" * ")
-        lines += [f"#define {row.name} {row.text}", ""]
+        lines += [*_define(row), ""]
     return "\n".join([*lines, "#endif", ""])
+
+
+def _define(row: Constant) -> list[str]:
+    if isinstance(row.text, str):
+        return [f"#define {row.name} {row.text}"]
+    width = max(len(text) for text in row.text) + 1
+    rows = [f"{text + ',':{width}} /* {origin} */ \\" for text, origin in zip(row.text, row.origins, strict=True)]
+    return [f"#define {row.name} {{ \\", *(f"    {text}" for text in rows), "}"]
 
 
 def _text(name: str) -> str:
