@@ -112,10 +112,9 @@ def _sentence(parts: dict[str, ImuResult], columns: list[str], duration_s: float
 
 
 def _rest(parts: dict[str, ImuResult]) -> list[float] | None:
-    for name in ("bias.best", "bias.C", "bias.B"):
-        if name in parts and parts[name].figures.get("rest"):
-            return list(parts[name].figures["rest"])
-    return None
+    row = next((parts[name] for name in ("bias.best", "bias.C", "bias.B") if name in parts), None)
+    rest = None if row is None else row.figures.get("rest")
+    return None if rest is None else list(rest)
 
 
 def _noise(row: ImuResult) -> dict[str, float | None]:

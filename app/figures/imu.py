@@ -75,8 +75,16 @@ def bias_series(
         if what.verdict is not None:
             kept = np.asarray(arrays.open(data, stored["segment_verdict"])[rows]) == what.verdict
             x, y = x[kept], y[kept]
-        made.append(series(name, what.unit, what.label, x, y, points))
+            made.append(_scatter(name, what, x, y, points))
+        else:
+            made.append(series(name, what.unit, what.label, x, y, points))
     return made
+
+
+def _scatter(name: str, what: Column, t: npt.NDArray[Any], y: npt.NDArray[Any], points: int) -> Series:
+    """Single readings, thinned evenly: keeping their extremes would make a cloud look hollow."""
+    kept = np.unique(np.linspace(0, len(t) - 1, min(points, len(t))).astype(np.int64)) if len(t) else slice(0)
+    return Series(name, what.unit, what.label, np.asarray(t[kept], np.float64), y[kept], len(t))
 
 
 def segment_series(

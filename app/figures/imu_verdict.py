@@ -37,11 +37,13 @@ def _noise(parts: Parts) -> str:
 
 
 def _moved(parts: Parts, duration_s: float) -> str:
-    for method in ("smoothed", *METHODS):
+    for method in ("smoothed", "best", "C"):
         row = parts.get(f"bias.{method}")
-        if row is not None and not row.error and row.figures.get("accepted") and method != "A":
+        if row is not None and not row.error:
             moved = row.figures.get("bias_drift")
-            return f"bias moved {bias(abs(moved))} in {duration(duration_s)}" if moved is not None else ""
+            if moved is None or not row.figures.get("accepted"):
+                return ""
+            return f"bias moved {bias(abs(moved))} in {duration(duration_s)}"
     return ""
 
 

@@ -49,6 +49,21 @@ export function timeUnit(span) {
   return span < 180 ? "s" : span < 3600 ? "min:s" : "h:min:s";
 }
 
+// Ticks of a logarithmic axis: round numbers, fewer of them the more decades there are.
+export function logTicks(lo, hi) {
+  const decades = Math.log10(hi / lo);
+  const steps = decades < 1.2 ? [1, 2, 3, 4, 5, 6, 8] : decades < 3.2 ? [1, 2, 5] : [1];
+  const found = [];
+  for (let e = Math.floor(Math.log10(lo)); e <= Math.ceil(Math.log10(hi)); e++) for (const m of steps) found.push(Number(`${m}e${e}`));
+  return found.filter((v) => v >= lo && v <= hi);
+}
+
+// 0.01, 20, 5e6: a round number as short as it can be.
+export function roundText(value) {
+  const size = Math.abs(value);
+  return size !== 0 && (size < 1e-4 || size >= 1e6) ? value.toExponential(0).replace("-", "−").replace("e+", "e") : value.toLocaleString("en-US", { maximumFractionDigits: 4 });
+}
+
 export function count(n) {
   if (n >= 1e6) return `${(n / 1e6).toFixed(1)} M`;
   return n.toLocaleString("en-US");
@@ -64,9 +79,10 @@ export function axes({ clock, log, ink, grid, font, showTime, valueWidth }) {
   if (clock) x.incrs = TIMES;
   const y = { ...base, size: valueWidth, space: (u, i, lo, hi, height) => Math.max(18, height / 9) };
   const plain = (u, splits, i, space, step) => splits.map((v) => (v === null ? "" : tick(v, step)));
-  const powers = (u, splits) => splits.map((v) => (v === null ? "" : number(v)));
-  y.values = log.y ? powers : plain;
-  if (!log.y) y.incrs = DECADES;
-  if (!clock) x.values = log.x ? powers : plain;
+  const round = { values: (u, splits) => splits.map(roundText), splits: (u, axis, lo, hi) => logTicks(lo, hi), filter: (u, splits) => splits };
+  if (log.y) Object.assign(y, round);
+  else Object.assign(y, { values: plain, incrs: DECADES });
+  if (log.x && showTime) Object.assign(x, round);
+  else if (!clock && showTime) x.values = plain;
   return [x, y];
 }

@@ -1,7 +1,8 @@
 // Every view out: PNG and SVG with title and legend, CSV of the visible range, and the link to the exact view.
 
-import { number, tick, timeText, timeUnit } from "./chart-axes.js";
+import { number, roundText, tick, timeText, timeUnit } from "./chart-axes.js";
 import { lowerBound, rows } from "./chart-data.js";
+import { MARK_PATHS } from "./chart-draw.js";
 import { save } from "./dom.js";
 import { colour, withAlpha } from "./palette.js";
 
@@ -23,7 +24,8 @@ export function copyLink() {
 
 export function fileName(chart, suffix) {
   const [a, b] = chart.clock.range.map((t) => Number(t.toPrecision(6)));
-  const base = `${chart.spec.fileName ?? "driftscope"}-${chart.spec.id}-${a}s-${b}s`;
+  const span = chart.spec.clock ? `-${a}s-${b}s` : "";
+  const base = `${chart.spec.fileName ?? "driftscope"}-${chart.spec.id}${span}`;
   return `${base.replace(/[^\w.+-]+/g, "_")}.${suffix}`;
 }
 
@@ -55,10 +57,11 @@ function drawHead(ctx, chart) {
     ctx.strokeStyle = colour(s.color);
     ctx.lineWidth = 2;
     ctx.setLineDash(s.dash ?? []);
-    ctx.beginPath();
-    ctx.moveTo(x, 34);
-    ctx.lineTo(x + 24, 34);
-    ctx.stroke();
+    if (s.style === "marks") {
+      ctx.translate(x + 12, 34);
+      ctx.stroke(new Path2D(MARK_PATHS[s.mark]));
+      ctx.translate(-x - 12, -34);
+    } else ctx.stroke(new Path2D(`M${x} 34h24`));
     ctx.fillStyle = colour("--ink-2");
     ctx.fillText(s.label, x + 30, 34);
     x += 44 + ctx.measureText(s.label).width;
@@ -105,7 +108,7 @@ export function exportSvg(chart) {
     ...ticks(chart, box, px, py),
     `<clipPath id="p"><rect x="${box.x}" y="${box.y}" width="${box.w}" height="${box.h}"/></clipPath><g clip-path="url(#p)">`,
     ...chart.bands.flatMap((band) => [2, 1].map((n) => bandPath(band, n, clock.range, px, py))),
-    ...chart.visibleSeries.map((s) => linePath(chart.reading(s.key), s, clock.range, px, py)),
+    ...chart.visibleSeries.map((s) => linePath(chart.reading(s.key), s, clock.range, px, py, box)),
     "</g>",
     ...legend(chart),
   ];
@@ -119,14 +122,15 @@ function ticks({ plot, clock, spec }, box, px, py) {
   const ink = `fill="${colour("--ink-2")}"`;
   const step = xs.length > 1 ? xs[1] - xs[0] : 1;
   const stepY = ys.length > 1 ? ys[1] - ys[0] : 1;
-  const label = (v) => (spec.clock ? timeText(v, step, clock.full[1]) : number(v));
+  const label = (v) => (spec.clock ? timeText(v, step, clock.full[1]) : spec.log?.x ? roundText(v) : number(v));
+  const value = (v) => (spec.log?.y ? roundText(v) : tick(v, stepY));
   return [
     ...xs.map((v) => `<path d="M${px(v)} ${box.y}v${box.h}" ${grid}/>` + text(px(v), box.y + box.h + 15, label(v), `text-anchor="middle" ${ink}`)),
-    ...ys.map((v) => `<path d="M${box.x} ${py(v)}h${box.w}" ${grid}/>` + text(box.x - 6, Number(py(v)) + 4, tick(v, stepY), `text-anchor="end" ${ink}`)),
+    ...ys.map((v) => `<path d="M${box.x} ${py(v)}h${box.w}" ${grid}/>` + text(box.x - 6, Number(py(v)) + 4, value(v), `text-anchor="end" ${ink}`)),
   ];
 }
 
-function linePath({ t, y }, series, range, px, py) {
+function linePath({ t, y }, series, range, px, py, box) {
   const first = Math.max(lowerBound(t, range[0]) - 1, 0);
   const last = Math.min(lowerBound(t, range[1]) + 1, t.length);
   const ink = colour(series.color);
@@ -135,6 +139,11 @@ function linePath({ t, y }, series, range, px, py) {
     for (let i = first; i < last; i++) if (y[i] !== null) dots.push(`<circle cx="${px(t[i])}" cy="${py(y[i])}" r="1.7" fill="${ink}"/>`);
     return dots.join("");
   }
+  if (series.style === "marks") {
+    const edge = (v) => Math.min(Math.max(Number(py(v)), box.y + 3), box.y + box.h - 3);
+    const paint = series.mark === "dot" ? `fill="${ink}"` : `fill="none" stroke="${ink}" stroke-width="1.2"`;
+    return t.map((x, i) => (x < range[0] || x > range[1] || y[i] === null ? "" : `<path transform="translate(${px(x)} ${edge(y[i])})" d="${MARK_PATHS[series.mark]}" ${paint}/>`)).join("");
+  }
   let d = "";
   let pen = "M";
   for (let i = first; i < last; i++) {
@@ -142,6 +151,7 @@ function linePath({ t, y }, series, range, px, py) {
       pen = "M";
       continue;
     }
+    if (series.style === "steps" && pen === "L") d += `H${px(t[i])}`;
     d += `${pen}${px(t[i])} ${py(y[i])}`;
     pen = "L";
   }
@@ -149,9 +159,13 @@ function linePath({ t, y }, series, range, px, py) {
   return `<path d="${d}" fill="none" stroke="${ink}" stroke-width="${series.width ?? 1.5}"${dash}/>`;
 }
 
-function bandPath({ t, mid, sd, color }, sigmas, range, px, py) {
+function bandPath({ t, mid, sd, lo, hi, color }, sigmas, range, px, py) {
   const up = [];
   const down = [];
+  if (lo) {
+    t.forEach((x, i) => lo[i] > 0 && up.push(`${px(x)} ${py(hi[i])}`) && down.unshift(`${px(x)} ${py(lo[i])}`));
+    return sigmas === 1 && up.length ? `<path d="M${[...up, ...down].join("L")}Z" fill="${withAlpha(colour(color), 0.2)}"/>` : "";
+  }
   for (let i = Math.max(lowerBound(t, range[0]) - 1, 0); i < Math.min(lowerBound(t, range[1]) + 1, t.length); i++) {
     if (mid[i] === null || sd[i] === null) continue;
     up.push(`${px(t[i])} ${py(mid[i] + sigmas * sd[i])}`);
@@ -164,7 +178,8 @@ function legend(chart) {
   let x = 12;
   return chart.visibleSeries.map((s) => {
     const dash = s.dash?.length ? ` stroke-dasharray="${s.dash.join(" ")}"` : "";
-    const item = `<path d="M${x} 34h24" stroke="${colour(s.color)}" stroke-width="2"${dash}/>` + text(x + 30, 38, s.label, `fill="${colour("--ink-2")}"`);
+    const line = s.style === "marks" ? `<path transform="translate(${x + 12} 34)" d="${MARK_PATHS[s.mark]}" fill="none" stroke="${colour(s.color)}"/>` : `<path d="M${x} 34h24" stroke="${colour(s.color)}" stroke-width="2"${dash}/>`;
+    const item = line + text(x + 30, 38, s.label, `fill="${colour("--ink-2")}"`);
     x += 50 + 6.2 * s.label.length;
     return item;
   });

@@ -2,6 +2,7 @@
 
 import { number } from "./chart-axes.js";
 import { extent, valueAt } from "./chart-data.js";
+import { MARK_PATHS } from "./chart-draw.js";
 import { h, s } from "./dom.js";
 
 const TOOLS = [
@@ -13,11 +14,11 @@ const TOOLS = [
 ];
 
 // A short stretch of a series as it is drawn: colour and dashes.
-export function seriesSwatch({ color, dash = [], style }) {
-  const mark = style === "dots" ? s("circle", { cx: 9, cy: 4, r: 2.6 }) : s("path", { d: "M0 4H18", "stroke-dasharray": dash.join(" ") || undefined });
+export function seriesSwatch({ color, dash = [], style, mark: shape }) {
+  const mark = style === "marks" ? s("path", { d: MARK_PATHS[shape], transform: "translate(9 4)" }) : style === "dots" ? s("circle", { cx: 9, cy: 4, r: 2.6 }) : s("path", { d: "M0 4H18", "stroke-dasharray": dash.join(" ") || undefined });
   const css = color.startsWith("--") ? `var(${color})` : color;
   mark.style.stroke = css;
-  if (style === "dots") mark.style.fill = css;
+  if (style === "dots" || shape === "dot") mark.style.fill = css;
   return s("svg", { class: "swatch", viewBox: "0 0 18 8", "aria-hidden": "true" }, mark);
 }
 
@@ -32,8 +33,9 @@ export function buildFrame(host, spec, { tool }) {
   if (spec.help) title.dataset.hint = spec.help;
   if (spec.term) title.dataset.term = spec.term;
   sampling.dataset.term = "sampling";
+  const when = spec.clock ? null : h("output", { class: "legend-when" }); // where on the other axis the pointer is
   const menu = exportMenu(spec.title, TOOLS, tool);
-  const legendRow = h("div", { class: "chart-legend" });
+  const legendRow = h("div", { class: "chart-legend" }, when);
   const head = h("figcaption", { class: "chart-head" }, title, unit, spec.compact && legendRow, sampling, menu);
   if (spec.onEnlarge) {
     const enlarge = h("button", { type: "button", class: "chart-enlarge", "aria-label": `Enlarge ${spec.title}`, "data-hint": "Enlarge; again: back" }, glyph("M11 3h6v6M17 3l-6 6M9 17H3v-6M3 17l6-6"));
@@ -50,6 +52,7 @@ export function buildFrame(host, spec, { tool }) {
     plot,
     sampling,
     table,
+    when,
     legend: new Map(),
     legendRow,
     timeLine: h("div", { class: "chart-time", hidden: true }),

@@ -3,10 +3,11 @@
 //
 //   const chart = createChart(host, {
 //     id: "error-xy", title: "Position error", unit: "m", term: "error_xy" (terms.js), help: "own words",
-//     series: [{ key: "fused", label: "fused", color: "--method-fused", dash: [], on: true, style: "line" | "dots" }],
+//     series: [{ key: "fused", label: "fused", color: "--method-fused", dash: [], on: true, style: "line" | "dots" | "steps" | "marks" }],
+//                                             // marks: mark: "dot" | "cross" | "triangle"; scale: false: doesn't widen the value axis
 //     clock,                                    // timecursor.js; absent: the chart keeps its own range over `domain`
 //     load: async ({ t0, t1, points, signal }) => ({ series: { fused: { t, y, total, shown } },
-//                                                    bands: { fused: { t, mid, sd } }, gaps: [[t0, t1]] }),
+//                                                    bands: { fused: { t, mid, sd } or { t, lo, hi } }, gaps: [[t0, t1]] }),
 //     bandFor: (keys) => key,                   // absent: the bands of all visible series
 //     log: { x: false, y: false }, settle: false (scale to where the curve settles), domain: [x0, x1], xLabel: "τ", xUnit: "s", showTime: true, zero: false,
 //     onToggle: (key, on) => {}, onEnlarge: () => {}, fileName: "run-error",
@@ -19,11 +20,11 @@
 import uPlot from "../vendor/uPlot.esm.js";
 import { axes, count, number, tick, timeText, timeUnit } from "./chart-axes.js";
 import { bandExtent, breakAtGaps, extent, merge, settledExtent, valueAt } from "./chart-data.js";
-import { drawUnder } from "./chart-draw.js";
+import { drawMarks, drawUnder } from "./chart-draw.js";
 import { buildFrame, legendItem, summaryTable } from "./chart-frame.js";
 import { exportCsv, exportPng, exportSvg, copyLink } from "./chart-export.js";
 import { gestures } from "./gestures.js";
-import { colour, onThemeChange } from "./palette.js";
+import { colour, onThemeChange, withAlpha } from "./palette.js";
 import { createTimeCursor } from "./timecursor.js";
 
 const REFETCH_DELAY = 90; // ms of rest before the server is asked again
@@ -191,6 +192,7 @@ export function createChart(host, spec) {
       series: [{}, ...spec.series.map(line)],
       hooks: {
         drawAxes: [(u) => drawUnder(u, { gaps: current.gaps, events, bands: chart.bands, range: clock.range })],
+        draw: [(u) => chart.visibleSeries.filter((s) => s.style === "marks").forEach((s) => drawMarks(u, current.readings.get(s.key), s, clock.range))],
       },
     };
   }
@@ -198,13 +200,15 @@ export function createChart(host, spec) {
   function line(s) {
     const ink = () => colour(s.color);
     const dots = s.style === "dots";
+    if (s.style === "marks") return { show: visible.get(s.key), paths: () => null, points: { show: false } };
     return {
       show: visible.get(s.key),
       stroke: ink,
       width: s.width ?? 1.5,
       dash: s.dash?.length ? s.dash : undefined,
-      paths: dots ? () => null : undefined,
-      points: dots ? { show: true, size: 3.5, fill: ink, stroke: ink } : { size: 4, fill: ink, stroke: ink },
+      paths: dots ? () => null : s.style === "steps" ? uPlot.paths.stepped({ align: 1 }) : undefined,
+      fill: s.fill ? () => withAlpha(ink(), 0.18) : undefined,
+      points: dots ? { show: true, size: 3.5, fill: ink, stroke: ink } : s.style === "steps" ? { show: false } : { size: 4, fill: ink, stroke: ink },
     };
   }
 
@@ -213,12 +217,13 @@ export function createChart(host, spec) {
     const widen = (e) => {
       if (e) all = all ? [Math.min(all[0], e[0]), Math.max(all[1], e[1])] : e;
     };
-    for (const s of chart.visibleSeries) widen(extent(current.readings.get(s.key), clock.range));
-    const settled = spec.settle ? settledExtent(chart.visibleSeries.map((s) => current.readings.get(s.key)), clock.range) : null;
+    const scaling = chart.visibleSeries.filter((s) => s.scale !== false);
+    for (const s of scaling) widen(extent(current.readings.get(s.key), clock.range));
+    const settled = spec.settle ? settledExtent(scaling.map((s) => current.readings.get(s.key)), clock.range) : null;
     offScale = Boolean(settled && all && (all[0] < settled[0] || all[1] > settled[1]));
     if (offScale) all = [Math.max(all[0], settled[0]), Math.min(all[1], settled[1])];
     const lines = all;
-    for (const band of chart.bands) widen(bandExtent(band, clock.range, lines, spec.settle ? 0.3 : 2));
+    for (const band of chart.bands.filter((b) => b.sd)) widen(bandExtent(band, clock.range, lines, spec.settle ? 0.3 : 2));
     if (all && spec.zero && (!lines || lines[0] >= 0)) all = [Math.max(all[0], 0), all[1]];
     if (!all) return log.y ? [0.1, 10] : [-1, 1];
     if (log.y) return [all[0] / 1.3, all[1] * 1.3];

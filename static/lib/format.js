@@ -22,6 +22,21 @@ export function number(x, digits = 3) {
   return x < 0 && /[1-9]/.test(out) ? MINUS + out : out;
 }
 
+const RAISED = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶", 7: "⁷", 8: "⁸", 9: "⁹" };
+
+/** A value with its deviation, both to the deviation's second digit: 0.4630 ± 0.0033, (1.346 ± 0.010) × 10⁻⁴. */
+export function uncertain(x, sd) {
+  if (!finite(x)) return NONE;
+  if (!finite(sd) || sd <= 0) return number(x, 4);
+  const power = x === 0 ? 0 : Math.floor(Math.log10(Math.abs(x)));
+  const far = power < -2 || power > 5;
+  const scale = far ? 10 ** -power : 1;
+  const decimals = Math.min(8, Math.max(0, 1 - Math.floor(Math.log10(sd * scale))));
+  const text = [x, sd].map((v) => (v * scale).toLocaleString("en", { minimumFractionDigits: decimals, maximumFractionDigits: decimals }).replace("-", MINUS));
+  const raised = [...String(power)].map((c) => RAISED[c]).join("");
+  return far ? `(${text[0]} ± ${text[1]}) × 10${raised}` : `${text[0]} ± ${text[1]}`;
+}
+
 function made(x, scale, unit, siUnit, digits = 3) {
   if (!finite(x)) return { text: NONE, value: NONE, unit: "", si: "" };
   const value = number(x * scale, digits);

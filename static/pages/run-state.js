@@ -1,11 +1,13 @@
 // What the page shows, kept in its address: tab, view, range, time, methods, the enlarged plot. A link restores it all.
 
-const TABS = ["path", "signals", "bias", "files", "notes"];
+const TABS = ["path", "signals", "imu", "files", "notes"];
+const FORMER = { bias: "imu" }; // old links
+const FOCUS = ["best", "C", "smoothed", "B", "A"]; // whose segments are shown first
 const VIEWS = ["both", "map", "scene"];
 const WRITE_DELAY = 250;
 
 // `methods`: [{ name, has }] in the order of the keys. State tells its subscribers what changed: "tab", "view",
-// "split", "big", "methods", "map".
+// "split", "big", "methods", "map"; of the IMU tab "axis", "bias" (methods shown), "segments" (whose), "calibration".
 export function createState(methods, clock) {
   const params = new URLSearchParams(location.search);
   const listeners = new Set();
@@ -15,7 +17,12 @@ export function createState(methods, clock) {
   let timer = 0;
 
   const state = {
-    tab: oneOf(params.get("tab"), TABS),
+    tab: oneOf(FORMER[params.get("tab")] ?? params.get("tab"), TABS),
+    axis: params.get("axis") ?? "gz",
+    segments: params.get("seg"),
+    calibration: params.get("cal"),
+    biasMethods: [],
+    biasOff: new Set((params.get("off") ?? "").split(",").filter(Boolean)),
     view: oneOf(params.get("view"), VIEWS),
     split: within(params.get("split"), 10, 90) ?? 50,
     big: params.get("big"),
@@ -44,6 +51,21 @@ export function createState(methods, clock) {
       methods.find((m) => m.name === method).has = true;
       state.toggle(method, true);
     },
+
+    // What the IMU tab can show of this run; an axis that it lacks gives way.
+    adopt(imu) {
+      state.biasMethods = imu.methods.filter((m) => !m.error).map((m) => m.method);
+      if (!imu.axes.includes(state.axis)) state.axis = imu.axes.includes("gz") ? "gz" : imu.axes[0];
+    },
+
+    biasVisible: (method) => !state.biasOff.has(method),
+
+    toggleBias(method) {
+      if (!state.biasOff.delete(method)) state.biasOff.add(method);
+      tell("bias", method);
+    },
+
+    focus: () => (state.biasMethods.includes(state.segments) ? state.segments : FOCUS.find((m) => state.biasMethods.includes(m))),
 
     subscribe(listener) {
       listeners.add(listener);
@@ -85,6 +107,10 @@ export function createState(methods, clock) {
       t1: clock.isFullRange ? null : round(clock.range[1]),
       t: clock.time === clock.full[0] ? null : round(clock.time),
       m: shown.length === has.length ? null : shown.join(","),
+      axis: state.axis === "gz" ? null : state.axis,
+      seg: state.segments,
+      off: [...state.biasOff].join(",") || null,
+      cal: state.calibration,
     };
     const query = Object.entries(fields)
       .filter(([, value]) => value !== null && value !== undefined)

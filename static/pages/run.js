@@ -4,10 +4,10 @@ import { api, query, request } from "../lib/api.js";
 import { $, $$, h, pageData } from "../lib/dom.js";
 import { keys } from "../lib/keys.js";
 import { createTimeCursor } from "../lib/timecursor.js";
-import { mountBias } from "./run-bias.js";
 import { mountMultiples } from "./run-errors.js";
 import { mountFiles } from "./run-files.js";
 import { mountHeader } from "./run-header.js";
+import { mountImu } from "./run-imu.js";
 import { mountJobs } from "./run-job.js";
 import { methodsOf, mountMethods } from "./run-methods.js";
 import { methodNotes, metricsTable } from "./run-metrics.js";
@@ -31,8 +31,8 @@ const context = {
   lead: () => data.lead,
 };
 
-const TABS = { path: mountPath, signals: mountSignals, bias: mountBias, files: mountFiles, notes: mountNotes };
-const WITH_TIME = new Set(["path", "signals", "bias"]);
+const TABS = { path: mountPath, signals: mountSignals, imu: mountImu, files: mountFiles, notes: mountNotes };
+const WITH_TIME = new Set(["path", "signals", "imu"]);
 let mounted = null; // the tab that is up
 let paths = null;
 let strip = null;
@@ -77,7 +77,7 @@ function showTab() {
   const paintable = state.methods.some((m) => m.has);
   $("#split").hidden = !(state.tab === "path" && paintable);
   $("#strip").hidden = !WITH_TIME.has(state.tab) || (state.tab === "path" && !paintable);
-  $("#methods").hidden = !paintable || !(state.tab === "path" || state.tab === "bias");
+  $("#methods").hidden = !paintable || state.tab !== "path";
   if (paintable && state.tab === "path") paths ??= mountPaths(context);
   mounted = TABS[state.tab]($(`#panel-${state.tab}`), context);
   tellEvents();
