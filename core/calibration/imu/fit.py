@@ -146,7 +146,7 @@ class _Problem:
         # Faster flicker lies under the white noise; its factor takes it.
         fastest = max(2 * block, FASTEST)
         count = max(1, int(np.ceil(np.log(max(2 * max(lengths) / fastest, 1.0)) / np.log(4))))
-        self.taus = fastest * 4.0 ** np.arange(min(count, 7))
+        self.taus: Floats = np.array([fastest * 4.0**k for k in range(min(count, 7))])
         self.base = float(np.median(data.white))
         self.runs = int(self.new_run.sum())
 
