@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from app.cli_calibrate import add_commands as add_calibrate_commands
 from app.cli_firmware import add_commands as add_firmware_commands
 from app.cli_imu import add_commands as add_imu_commands
 
@@ -60,6 +61,7 @@ def parser() -> argparse.ArgumentParser:
     estimate.add_argument("--data", type=Path, help="data folder of stored runs (default data)")
     estimate.set_defaults(run=_estimate)
     add_imu_commands(commands, RUN_HELP)
+    add_calibrate_commands(commands, RUN_HELP)
     add_firmware_commands(commands)
     return top
 

@@ -12,9 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from core.calibration.imu.algorithm1 import AXES
+from core.calibration.imu.columns import axis_data
 from core.calibration.imu.contradictions import contradictions
 from core.calibration.imu.curves import CharacteristicLine, characteristic_lines
-from core.calibration.imu.fit import AxisFit, axis_data, fit_triad
+from core.calibration.imu.fit import AxisFit, fit_triad
 from core.calibration.imu.model import ImuCalibration, SensorModel, SensorPair
 from core.calibration.imu.paper import PaperDrift, paper_drift
 from core.calibration.imu.reasons import null_reasons, turn_on_note

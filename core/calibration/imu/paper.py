@@ -20,7 +20,8 @@ import numpy as np
 import numpy.typing as npt
 
 from core.calibration.imu.algorithm1 import AXES
-from core.calibration.imu.fit import FASTEST, AxisFit
+from core.calibration.imu.columns import FASTEST
+from core.calibration.imu.fit import AxisFit
 from core.calibration.imu.stretches import Stretch
 
 Floats = npt.NDArray[np.float64]
