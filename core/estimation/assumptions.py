@@ -35,6 +35,11 @@ class Assumptions:
     accel: float = 1.0  # m/s/sqrt(s), how fast the forward speed wanders
     turn_accel: float = 2.0  # rad/s/sqrt(s), how fast the turn rate wanders, where there is no gyro
     memory: float = 2.0  # s, how soon speed and turn rate are forgotten while the wheels are silent
+    accel_density: float = 2e-3  # m/s^2/sqrt(Hz), one-sided
+    accel_noise: float = 0.1  # m/s/sqrt(s), what the accelerometer's speed gathers: noise, vibration, bumps
+    accel_bias_sd: float = 0.1  # m/s^2, accelerometer bias and tilt of the floor
+    tilt_walk: float = 0.02  # m/s^2/sqrt(s), how fast that changes
+    coast: float = 1.5  # s for which the accelerometer alone carries the speed
     pause_rate: float = 0.3  # rad/sqrt(s), turning while the gyro pauses
     top_speed: float = 10.0  # m/s, hard bound: a wheel reading beyond it is a jump of the counter
     fix_xy: float = 0.05  # m
@@ -42,6 +47,14 @@ class Assumptions:
     range: float = 0.2  # m
     range_scale_sd: float = 0.03  # relative, speed of sound or clock
     range_bias_sd: float = 0.2  # m, of all ranges alike
+    delay_sd: float = 0.03  # s, of the beacon system
+    lasting_fix: float = 0.0  # m, error of fixes that lasts
+    lasting_range: float = 0.0  # m, error of one beacon's ranges that lasts
+    lasting_time: float = 10.0  # s, how long
+    carried: float = 0.7  # m/sqrt(s), how far something else moves the robot
+    carried_turn: float = 0.05  # rad/sqrt(s), and how far it turns it unseen by the gyro
+    stubborn: float = 60.0  # s for which fixes that leapt without a reason are not believed
+    leap: float = 3.0  # m/s: a robot does not move faster than that without its wheels
     parameter_walk: float = 2e-5  # 1/sqrt(s), how fast scales wander
     start_xy: float = 0.01  # m, of a start pose given in run.json
     start_theta: float = 0.01  # rad
@@ -49,11 +62,12 @@ class Assumptions:
     reaccept: float = 10  # rejections of one sensor in a row, after which the filter doubts itself
     rest_time: float = 0.5  # s that wheels must stand still for the robot to be at rest
     rest_rate: float = 0.1  # rad/s, largest gyro bias: a faster reading is a turn
+    event_false_alarms: float = 1.0  # per hour and kind: slips, blows and the like that did not happen
 
 
 FIELDS: dict[str, dataclasses.Field[float]] = {f.name: f for f in dataclasses.fields(Assumptions)}
 
-_FROM_RUN = {"gyro_density": "gyro_density", "fix_xy": "beacon_xy", "fix_theta": "beacon_theta", "range": "range"}
+_FROM_RUN = {"gyro_density": "gyro_density", "accel_density": "accel_density", "fix_xy": "beacon_xy", "fix_theta": "beacon_theta", "range": "range"}
 _WORDS = {
     "gyro_density": "gyro noise density {:.2g} rad/s/√Hz",
     "fix_xy": "fix noise {:.2g} m",
@@ -77,7 +91,7 @@ def assume(run: Run, config: Config | None = None) -> tuple[Assumptions, tuple[s
             continue
         if sheet is not None and sheet > 0:
             values[name] = float(sheet)
-        elif getattr(run, _STREAM[name]) is not None and not (name == "fix_theta" and _headless(run)):
+        elif name in _WORDS and getattr(run, _STREAM[name]) is not None and not (name == "fix_theta" and _headless(run)):
             notes.append(f"Assumed, as run.json is silent: {_WORDS[name].format(FIELDS[name].default)}.")
     return Assumptions(**{**values, **given}), tuple(notes)
 

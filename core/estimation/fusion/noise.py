@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from core.estimation.assumptions import Assumptions, Config
-from core.estimation.fusion.events import FIX, OUT, RANGE, WHEEL, Events
+from core.estimation.fusion.events import Events
+from core.estimation.fusion.layout import FIX, KB, RANGE, WHEEL
+from core.estimation.fusion.walk import Walk
 from core.run import Run
 
 Array = npt.NDArray[np.float64]
@@ -25,25 +26,10 @@ LEADING = 100_000  # events that are looked at
 PASSES = 4  # for the sd of fixes and ranges
 SLIP_STEP, SLIP_STEPS = 2.0, 3  # levels of slip are this far apart, this many each way
 CLEARLY = 2.0  # log likelihood that a change must gain
-TRACK = 10  # the track scale's place in the filter's state
 IMPOSSIBLE = 4.0  # sd from the stated track width
 CONTRADICTED = 0.3  # share of the time that wheels and gyro may disagree about turning
 OUTLIER = 16.0  # a normalised innovation squared counts no more than this
 MEDIAN_CHI2 = {1: 0.4549, 2: 1.3863, 3: 2.3660}
-
-
-@dataclass(frozen=True)
-class Walk:
-    """What the filter left behind: per event nis and status (E, 2), per row the pose and its covariance, last state."""
-
-    nis: Array
-    status: npt.NDArray[np.int8]
-    pose: Array
-    covariance: Array
-    bias: Array
-    bias_var: Array
-    x: Array
-    P: Array
 
 
 Walker = Callable[[Events, Assumptions], Walk]
@@ -56,7 +42,7 @@ def learn(
     absolute = int(np.sum((events.kind == FIX) | (events.kind == RANGE)))
     if absolute < ENOUGH:
         return numbers, ()
-    leading = _leading(events)
+    leading = events.leading(LEADING)
     numbers, notes = _readings(run, leading, numbers, config, walk)
     if "slip" not in config:
         numbers, more = _slip(leading, numbers, walk)
@@ -72,16 +58,16 @@ def trusted_turns(
 
     alone: walks over wheels and gyro alone, and returns these events with what it found.
     """
-    leading = _leading(events)
+    leading = events.leading(LEADING)
     notes: tuple[str, ...] = ()
     inner, walked = alone(leading, numbers)
     asked = (inner.kind == WHEEL) & np.isfinite(inner.data[:, 1])
     if not asked.any():
         return events, numbers, ()
-    if abs(walked.x[TRACK]) > IMPOSSIBLE * numbers.track_scale_sd:
+    if abs(walked.x[KB]) > IMPOSSIBLE * numbers.track_scale_sd:
         numbers = dataclasses.replace(numbers, track_scale_sd=1.0)
         inner, walked = alone(leading, numbers)
-        notes = (f"The gyro shows a track width {1 + walked.x[TRACK]:.2f} times the stated one (skid steering?).",)
+        notes = (f"The gyro shows a track width {1 + walked.x[KB]:.2f} times the stated one (skid steering?).",)
     refused = float(np.mean(walked.status[asked, 1] != 1))
     if refused < CONTRADICTED:
         return events, numbers, notes
@@ -89,12 +75,6 @@ def trusted_turns(
     data[events.kind == WHEEL, 1] = np.nan
     note = f"Wheels and gyro disagree about turning {refused:.0%} of the time (skid steering?): the gyro alone is used."
     return dataclasses.replace(events, data=data), numbers, (note,)
-
-
-def _leading(events: Events) -> Events:
-    k = LEADING
-    parts = {name: getattr(events, name)[:k] for name in ("t", "kind", "data", "raw", "q_extra", "flags")}
-    return dataclasses.replace(events, **parts, out=events.out[: int(np.sum(events.kind[:k] == OUT))])
 
 
 def _readings(

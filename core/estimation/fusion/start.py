@@ -17,7 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from core.estimation.assumptions import Assumptions
-from core.estimation.fusion.events import FIX, RANGE, Events
+from core.estimation.fusion.events import Events
+from core.estimation.fusion.layout import FIX, RANGE
 from core.estimation.fusion.range_start import fit_ranges
 from core.geometry import compose, inverse, wrap_angle
 from core.run import Run
@@ -48,16 +49,7 @@ class Start:
             return events
         left = np.ones(len(events.t), bool)
         left[self.used] = False
-        raw, extra = np.cumsum(events.raw)[left], np.cumsum(events.q_extra)[left]
-        return dataclasses.replace(
-            events,
-            t=events.t[left],
-            kind=events.kind[left],
-            data=events.data[left],
-            raw=np.diff(raw, prepend=0.0),
-            q_extra=np.diff(extra, prepend=0.0),
-            flags=events.flags[left],
-        )
+        return events.kept(left)
 
 
 def find_start(run: Run, events: Events, numbers: Assumptions, reckon: Reckon) -> Start:

@@ -1,0 +1,279 @@
+"""The compiled filter over a run's events: causal, going back where a disturbance is known only later; and smoothed.
+
+A disturbance is known some tenths of a second after its onset. The causal path cannot be changed any more then, but the
+filter's state can: it goes back to the onset, walks to the present once more with what it now knows, and goes on. So
+does a reading that comes late (`replay.py`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from core.estimation.assumptions import Assumptions, encoder_quantum
+from core.estimation.events import Disturbances, Flags
+from core.estimation.events.disturbances import PUSHED
+from core.estimation.fusion.events import Events
+from core.estimation.fusion.layout import (
+    ACCEL, B, BA, BR, CARRIED, DT, FIX, KB, KD, KE, KG, KR, LEFT, MEMORY, N, OUT, PAST, PHI, RANGE, RIGHT, SEEN, STARTED,
+    STOPPED, S, T, T_FIX, T_IMU, T_OFFSET, T_STRANGE, T_TRUST, T_WHEEL, TURN, Constants, Records, Tracks, V, records,
+)  # fmt: skip
+from core.estimation.fusion.start import Start
+from core.estimation.odometry import chi2_gate, longest_hold
+from core.estimation.rest import Rest
+from core.run import Run
+
+Array = npt.NDArray[np.float64]
+
+START_SPEED, START_TURN = 0.5, 0.5  # m/s, rad/s: sd of both before the first wheel reading
+STILL_SPEED = 1e-3  # m/s, how still rest is
+STRETCH = 4096  # events that the smoother keeps at a time
+
+
+@dataclass
+class State:
+    """All that the filter remembers, as arrays: x (N,), P (N, N), mem, past, as `layout` says; and the next row."""
+
+    x: Array
+    P: Array
+    mem: Array
+    past: Array
+    row: int = 0
+
+    def copy(self) -> State:
+        """A state to come back to."""
+        return State(self.x.copy(), self.P.copy(), self.mem.copy(), self.past.copy(), self.row)
+
+
+@dataclass(frozen=True)
+class Walk:
+    """What the filter left behind: per event nis and status (E, 2), per row the pose and its covariance, last state."""
+
+    nis: Array
+    status: npt.NDArray[np.int8]
+    pose: Array
+    covariance: Array
+    bias: Array
+    bias_var: Array
+    x: Array
+    P: Array
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A filter ready to walk: n states in use, the numbers of the run, the state that it begins with."""
+
+    n: int
+    constants: Constants
+    begin: State
+
+    def step(self, events: Events, begin: int, end: int, state: State, out: Tracks, rec: Records | None = None) -> None:
+        """Walk over events begin .. end, from `state` and into it. Pieces give what one walk over all would."""
+        from core.estimation.fusion._filter_numba import run_filter
+
+        state.row = run_filter(
+            begin, end, state.row, events.readings, state.x, state.P, self.n, state.mem, state.past, self.constants, out,
+            rec if rec is not None else _NO_RECORDS, rec is not None,
+        )  # fmt: skip
+
+
+_NO_RECORDS = records(0, 0)
+
+
+def problem(run: Run, events: Events, start: Start, numbers: Assumptions, rest: Rest | None) -> Problem:
+    """The filter of a run: what it shows is estimated, what it cannot show is left out of the state."""
+    sd = _priors(run, events, numbers, rest)
+    wheels = sd.shape[0]
+    x, P, mem = np.zeros(N), np.zeros((N, N)), np.zeros(MEMORY)
+    x[:3], P[:3, :3] = start.pose, start.covariance
+    P[range(3, wheels), range(3, wheels)] = np.square(sd[3:])
+    begin = float(events.t[0]) if len(events.t) else 0.0
+    mem[[T, STARTED, T_OFFSET]] = begin
+    mem[[T_IMU, T_WHEEL, T_FIX]] = -1.0
+    mem[[T_STRANGE, T_TRUST]] = -1e9, begin
+    active = np.flatnonzero(np.diag(P) > 0)
+    n = max(int(active[-1]) + 1 if active.size else 0, PHI + 1)
+    return Problem(n, _constants(run, events, numbers, rest), State(x, P, mem, np.zeros((PAST, SEEN))))
+
+
+def _priors(run: Run, events: Events, numbers: Assumptions, rest: Rest | None) -> Array:
+    """(N,) standard deviations at the start of all but the pose; 0 freezes what this run cannot show."""
+    gyro, track = rest is not None, run.meta.robot.track_width is not None
+    ranged, absolute = bool(events.of(RANGE).any()), bool(events.of(FIX, RANGE).any())
+    sd = np.zeros(N)
+    sd[V] = START_SPEED
+    sd[B] = numbers.bias_sd if gyro else START_TURN
+    sd[KD] = numbers.distance_scale_sd
+    sd[[KE, KB]] = numbers.inequality_sd * track, numbers.track_scale_sd * track
+    sd[KG], sd[BA] = numbers.gyro_scale_sd * gyro, numbers.accel_bias_sd * has_accelerometer(run, rest)
+    sd[DT] = numbers.delay_sd * absolute
+    sd[[KR, BR]] = (numbers.range_scale_sd, numbers.range_bias_sd) if ranged else (0.0, 0.0)
+    first = events.first_offset
+    if numbers.lasting_range > 0 and ranged and first + len(events.lasting) < N:
+        sd[first : first + len(events.lasting)] = numbers.lasting_range
+    offsets = events.data[events.kind == FIX, 3]
+    if offsets.size and offsets[0] > 0:
+        sd[int(offsets[0]) : int(offsets[0]) + 2] = numbers.lasting_fix
+    return sd
+
+
+def has_accelerometer(run: Run, rest: Rest | None) -> bool:
+    """Whether the acceleration along the body is known."""
+    imu = run.imu
+    return rest is not None and imu is not None and imu.ax is not None and bool(np.isfinite(imu.ax).any())
+
+
+def _constants(run: Run, events: Events, numbers: Assumptions, rest: Rest | None) -> Constants:
+    robot = run.meta.robot
+    quantum = encoder_quantum(run, numbers) * float(robot.wheel_radius or 0.0)
+    inverse_track = 1.0 / robot.track_width if robot.track_width else 0.0
+    imu = run.imu if rest is not None else None
+    lasting = numbers.lasting_range if events.of(RANGE).any() else numbers.lasting_fix
+    constants = Constants(
+        has_gyro=imu is not None,
+        has_accel=has_accelerometer(run, rest),
+        inverse_track=inverse_track,
+        tag_x=robot.tag.x,
+        tag_y=robot.tag.y,
+        tag_z=robot.tag.z,
+        tau=numbers.memory,
+        silence=events.silence,
+        hold=longest_hold(np.diff(imu.t, prepend=imu.t[0])) if imu is not None else 0.0,
+        q_pause=numbers.pause_rate**2,
+        q_speed=numbers.accel**2,
+        q_accel=numbers.accel_noise**2,
+        q_tilt=numbers.tilt_walk**2,
+        q_turn=numbers.turn_accel**2,
+        q_gyro=numbers.gyro_density**2 / 2,
+        q_bias=numbers.bias_walk**2,
+        q_scale=numbers.parameter_walk**2,
+        q_slip=numbers.slip**2,
+        q_side=numbers.side_slip**2,
+        q_carried=numbers.carried**2,
+        q_carried_turn=numbers.carried_turn**2,
+        r_distance=quantum**2 / 24,
+        r_turn=quantum**2 / 6 * inverse_track**2,
+        r_rate=rest.gyro_sd**2 if rest is not None else 1.0,
+        r_still=STILL_SPEED**2,
+        r_fix=numbers.fix_xy**2,
+        r_fix_theta=numbers.fix_theta**2,
+        r_range=numbers.range**2,
+        offset_var=lasting**2,
+        offset_tau=max(numbers.lasting_time, 1e-3),
+        first_offset=events.first_offset,
+        gate1=chi2_gate(1, numbers),
+        gate2=chi2_gate(2, numbers),
+        gate3=chi2_gate(3, numbers),
+        patience=numbers.reaccept,
+        patience_rest=numbers.reaccept * (imu.rate if imu is not None else 0.0) / 2,
+        stubborn=numbers.stubborn,
+        leap=numbers.leap,
+        coast=numbers.coast,
+    )
+    return Constants(*(float(value) for value in constants))  # one type, so that it is compiled once
+
+
+def tracks(events: Events) -> Tracks:
+    """Room for what a walk over the events writes."""
+    e, m = len(events.t), len(events.out)
+    return Tracks(
+        np.full((e, 2), np.nan), np.zeros((e, 2), np.int8), np.empty((m, 3)), np.empty((m, 3, 3)), np.empty(m), np.empty(m)
+    )
+
+
+def _walked(out: Tracks, state: State) -> Walk:
+    return Walk(out.nis, out.status, out.pose, out.covariance, out.bias, out.bias_var, state.x, state.P)
+
+
+def walk(p: Problem, events: Events, disturbances: Disturbances | None = None) -> Walk:
+    """The causal walk over all events."""
+    out, state, end = tracks(events), p.begin.copy(), len(events.t)
+    if disturbances is None or not disturbances.found:
+        p.step(events, 0, end, state, out)
+        return _walked(out, state)
+    live, aside = flagged(events, disturbances.live(events.t), _pushes(disturbances).live(events.t)), tracks(events)
+    onset = np.searchsorted(events.t, [d.t0 for d in disturbances.found], "left")
+    alarm = np.searchsorted(events.t, [d.alarm for d in disturbances.found], "left")
+    saved: dict[int, State] = {}
+    at = 0
+    for stop in sorted({*onset.tolist(), *alarm.tolist(), end}):
+        p.step(live, at, stop, state, out)
+        at = stop
+        mine = np.flatnonzero((alarm == stop) & (onset < stop))
+        if mine.size:
+            begin = int(onset[mine].min())
+            _tell(live, disturbances, begin, stop)
+            state = _again(p, live, saved, begin, stop, aside)
+        saved[stop] = state.copy()
+    return _walked(out, state)
+
+
+def _tell(live: Events, disturbances: Disturbances, begin: int, stop: int) -> None:
+    """Mark events begin .. stop with what is known at `stop`; a disturbance that is not released yet goes on."""
+    now = live.t[min(stop, len(live.t) - 1)]
+    known = [d for d in disturbances.found if d.alarm <= now]
+    dated = tuple(dataclasses.replace(d, t1=d.t1 if d.release <= now else np.inf) for d in known)
+    told, t = Disturbances(dated), live.t[begin:stop]
+    live.flags[begin:stop] |= _bits(told.dated(t), _pushes(told).dated(t))
+
+
+def _again(p: Problem, live: Events, saved: dict[int, State], begin: int, stop: int, aside: Tracks) -> State:
+    """From event `begin` to the present once more; states saved in between are saved anew."""
+    state, at = saved[begin].copy(), begin
+    for between in sorted(k for k in saved if begin < k < stop):
+        p.step(live, at, between, state, aside)
+        saved[between], at = state.copy(), between
+    p.step(live, at, stop, state, aside)
+    return state
+
+
+def flagged(events: Events, flags: Flags, pushes: Flags) -> Events:
+    """The events with what is not to be believed marked."""
+    return dataclasses.replace(events, flags=events.flags | _bits(flags, pushes))
+
+
+def _pushes(disturbances: Disturbances) -> Disturbances:
+    """Those in which something else than the wheels moves the robot; all of them marked as `stopped`."""
+    return Disturbances(tuple(dataclasses.replace(d, stopped=True) for d in disturbances.found if d.kind == PUSHED))
+
+
+def _bits(flags: Flags, pushes: Flags) -> npt.NDArray[np.int64]:
+    bits = np.zeros(len(flags.left), np.int64)
+    pairs = (
+        (flags.left, LEFT), (flags.right, RIGHT), (flags.turn, TURN), (flags.accelerometer, ACCEL),
+        (flags.stopped, STOPPED), (pushes.stopped, CARRIED),
+    )  # fmt: skip
+    for column, bit in pairs:
+        bits[column] |= bit
+    return bits
+
+
+def smooth(p: Problem, events: Events, disturbances: Disturbances | None = None) -> tuple[Walk, Walk]:
+    """The filter with hindsight about disturbances, and the path smoothed back from its end: (filtered, smoothed)."""
+    from core.estimation.fusion._smoother_numba import walk_back
+
+    if disturbances is not None:
+        events = flagged(events, disturbances.dated(events.t), _pushes(disturbances).dated(events.t))
+    out, state, end = tracks(events), p.begin.copy(), len(events.t)
+    cuts = list(range(0, end, STRETCH))
+    saved = []
+    for cut in cuts:
+        saved.append(state.copy())
+        p.step(events, cut, min(cut + STRETCH, end), state, out)
+    forward = Walk(
+        out.nis, out.status, out.pose.copy(), out.covariance.copy(), out.bias.copy(), out.bias_var.copy(), state.x, state.P
+    )
+    lam, L, gyro = np.zeros((1, N)), np.zeros((N, N)), p.constants.has_gyro != 0.0
+    rec = records(STRETCH, STRETCH)
+    for cut, begun in zip(cuts[::-1], saved[::-1], strict=True):
+        last, first_row = min(cut + STRETCH, end), begun.row
+        rec.used[0] = 0
+        rec.fade[:] = 1.0
+        rec.forgotten[:] = 0
+        p.step(events, cut, last, begun, out, rec)
+        walk_back(cut, last, begun.row, first_row, events.kind, lam, L, p.n, gyro, events.first_offset, rec, out)
+    return forward, _walked(out, state)
+
