@@ -14,7 +14,7 @@ from starlette.responses import Response
 from starlette.staticfiles import StaticFiles
 
 from app import errors, examples, housekeeping, jobs, login, openapi, paths
-from app.api import estimates, files, imu, mappings, runs, streams, uploads
+from app.api import calibrations, estimates, files, imu, mappings, runs, streams, uploads
 from app.api import jobs as job_api
 from app.db.migrate import migrate
 from app.db.session import make_engine
@@ -33,6 +33,7 @@ API_ROUTERS: tuple[APIRouter, ...] = (  # under /api/v1
     mappings.router,
     estimates.router,
     imu.router,
+    calibrations.router,
     job_api.router,
 )
 PAGE_ROUTERS: tuple[APIRouter, ...] = (login.router, proxy.router, *PAGES.values())  # at the root

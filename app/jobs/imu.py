@@ -43,7 +43,7 @@ class Case:
     """The run, the settings, and what earlier parts found that later ones go by."""
 
     run: Any
-    config: Mapping[str, float]
+    config: Mapping[str, Any]
     bias: dict[str, Any] = field(default_factory=dict)  # BiasEstimate by method
 
     def values(self, axis: str) -> npt.NDArray[np.floating]:
@@ -97,7 +97,7 @@ def analyse(
     made = []
     for i, (name, label, part) in enumerate(plan):
         progress(i / len(plan), label)
-        made.append(_stored(data, case, name, part))
+        made.append(stored_part(data, case, name, part))
     progress(1.0, "saving")
     return {"parts": made}
 
@@ -115,7 +115,8 @@ def parts(axes: Sequence[str], methods: Sequence[str] | None, warm: bool) -> Ite
         yield "temperature", "bias against temperature", temperature
 
 
-def _stored(data: Path, case: Case, name: str, part: Part) -> dict[str, Any]:
+def stored_part(data: Path, case: Case, name: str, part: Part) -> dict[str, Any]:
+    """One part as `app.store.imu` keeps it: its arrays in the data folder, or why it could not be computed."""
     from app.store import arrays
     from app.store.provenance import code_version
 

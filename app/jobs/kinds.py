@@ -10,10 +10,11 @@ from sqlalchemy.orm import Session
 
 from app.db.tables import Job
 from app.errors import NotFoundError
-from app.jobs import imu, tasks
+from app.jobs import calibration, imu, tasks
 from app.settings import Settings
+from app.store import calibrations, jobs, results, runs
 from app.store import imu as imu_store
-from app.store import jobs, results, runs
+from app.store.provenance import code_version
 
 
 @dataclass(frozen=True)
@@ -81,8 +82,52 @@ def _imu_save(session: Session, settings: Settings, job: Job, made: dict[str, An
     return Saved({"run_id": job.run_id, "parts": parts, "not_possible": failed}, message, job.run_id)
 
 
+def _calibrate_arguments(session: Session, settings: Settings, job: Job) -> dict[str, Any]:
+    return {"manifests": [runs.manifest(session, run_id) for run_id in job.params["runs"]]}
+
+
+def _calibrate_save(session: Session, settings: Settings, job: Job, made: dict[str, Any]) -> Saved:
+    asked = {"name": job.params.get("name"), "robot": job.params.get("robot")}
+    row = calibrations.add_made(session, job.params["runs"], made, job_id=job.id, **asked)
+    return Saved({"calibration_id": row.id}, f"stored as {row.name}", job.run_id)
+
+
+def _with_calibration(session: Session, job: Job) -> tuple[dict[str, Any], dict[str, Any], str]:
+    """The manifest of the job's run, its calibration as calibration/1, and that one's id."""
+    assert job.run_id is not None
+    row = calibrations.get_calibration(session, job.params["calibration"])
+    return runs.manifest(session, job.run_id), row.result, row.id
+
+
+def _judge_arguments(session: Session, settings: Settings, job: Job) -> dict[str, Any]:
+    manifest, model, calibration_id = _with_calibration(session, job)
+    return {"manifest": manifest, "calibration": model, "calibration_id": calibration_id}
+
+
+def _correct_arguments(session: Session, settings: Settings, job: Job) -> dict[str, Any]:
+    manifest, model, calibration_id = _with_calibration(session, job)
+    row = calibrations.get_calibration(session, calibration_id)
+    provenance = {
+        "from_run": manifest["id"],
+        "from_sha256": manifest["sha256"],
+        "calibration": calibration_id,
+        "calibration_name": row.name,
+        "code_version": code_version(),
+    }
+    return {"manifest": manifest, "calibration": model, "provenance": provenance}
+
+
+def _correct_save(session: Session, settings: Settings, job: Job, manifest: dict[str, Any]) -> Saved:
+    run = runs.add_run(session, manifest)
+    following = jobs.first_jobs(session, run.id)
+    return Saved({"run_id": run.id}, f"stored as {run.name}", job.run_id, following)
+
+
 KINDS: dict[str, Kind] = {
     "ingest": Kind("store an upload", tasks.ingest, _ingest_arguments, _ingest_save),
     "estimate": Kind("estimate paths", tasks.estimate, _estimate_arguments, _estimate_save),
     "imu": Kind("analyse the IMU", imu.analyse, _imu_arguments, _imu_save),
+    "calibrate": Kind("calibrate an IMU", calibration.calibrate, _calibrate_arguments, _calibrate_save),
+    "judge": Kind("judge a calibration", calibration.judge, _judge_arguments, _imu_save),
+    "correct": Kind("correct a run", calibration.correct, _correct_arguments, _correct_save),
 }
