@@ -39,8 +39,13 @@ def finished(server: TestClient, upload_id: str, body: dict | None = None) -> di
     """The job that reads the upload, once it has ended."""
     answer = server.post(f"{API}/uploads/{upload_id}/finish", json=body or {})
     assert answer.status_code == 202, answer.text
+    return ended(server, answer.json()["id"])
+
+
+def ended(server: TestClient, job_id: str) -> dict:
+    """The job, once it has ended."""
     for _ in range(600):
-        job = server.get(f"{API}/jobs/{answer.json()['id']}").json()
+        job = server.get(f"{API}/jobs/{job_id}").json()
         if job["state"] in ("done", "failed", "cancelled"):
             return job
         time.sleep(0.05)
@@ -174,6 +179,12 @@ def test_asynchronous_upload(server: TestClient, zipped: Zipped) -> None:
     answer = server.post(f"{API}/runs", params={"filename": "a.zip"}, content=zipped(turn=0.43), headers=headers)
     assert answer.status_code == 202 and answer.json()["kind"] == "ingest"
     assert answer.headers["location"] == f"{API}/jobs/{answer.json()['id']}"
+    assert ended(server, answer.json()["id"])["state"] == "done"
+    for _ in range(100):  # the file is dropped a moment after
+        if count(server) == 0:
+            break
+        time.sleep(0.02)
+    assert count(server) == 0
 
 
 def test_a_job_that_reads_keeps_others_off(server: TestClient, zipped: Zipped) -> None:
