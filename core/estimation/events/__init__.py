@@ -5,6 +5,7 @@ the same motion are tested against the noise that the run has shown so far; noth
 tenths of a second after the onset, and the onset is dated back.
 """
 
+from core.estimation.events.detector import Detector, detect
 from core.estimation.events.disturbances import KINDS, Disturbance, Disturbances, Flags
 
-__all__ = ["KINDS", "Disturbance", "Disturbances", "Flags"]
+__all__ = ["KINDS", "Detector", "Disturbance", "Disturbances", "Flags", "detect"]

@@ -17,6 +17,8 @@ SLIP, COLLISION, BOUNCE, PUSHED, STUCK, DEAD_ENCODER = KINDS = (
     "slip", "collision", "bounce", "pushed", "stuck", "dead_encoder",
 )  # fmt: skip
 
+TOUCH = 0.5  # s between the end of one and the onset of the next that is still the same
+
 
 @dataclass(frozen=True)
 class Disturbance:
@@ -24,7 +26,8 @@ class Disturbance:
 
     left, right: that wheel's reading is wrong; turn: it is the difference of both (which wheel, nobody can say);
     accelerometer: it is blinded; stopped: the body stands still, whatever the wheels say.
-    statistic: in sigma of its residual; size: in the unit of the residual (m/s, rad/s or m/s^2).
+    statistic: in sigma of its residual; size [m/s], of a bounce [m/s^2]; peak [m/s^2];
+    along: speed gained in a blow, or by which the wheels ran ahead of the accelerometer [m/s].
     """
 
     kind: str
@@ -39,6 +42,8 @@ class Disturbance:
     stopped: bool = False
     statistic: float = 0.0
     size: float = 0.0
+    peak: float = 0.0
+    along: float = 0.0
     evidence: str = ""
     replaced: str = ""
 
@@ -74,8 +79,18 @@ class Disturbances:
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """Rows of an estimate."""
-        return tuple(one.event for one in self.found)
+        """Rows of an estimate: disturbances of one kind that touch are one event."""
+        rows: list[Event] = []
+        for one in self.found:
+            last = next((row for row in reversed(rows) if row.kind == one.kind), None)
+            if last is None or one.t0 > last.t1 + TOUCH:
+                rows.append(one.event)
+                continue
+            evidence = last.evidence if one.evidence in last.evidence else f"{last.evidence}; {one.evidence}"
+            rows[rows.index(last)] = Event(
+                last.kind, last.t0, max(last.t1, one.t1), evidence=evidence, replaced=last.replaced or one.replaced
+            )
+        return tuple(rows)
 
     def live(self, t: Array) -> Flags:
         """Flags (M,) at sorted stamps t: interval (t[k-1], t[k]] is flagged from the alarm on, to the release."""
