@@ -22,6 +22,7 @@ PAGES: dict[str, str] = {
     "start": "Start here",
     "pages": "The pages and their keys",
     "methods": "Methods: where each path comes from",
+    "published": "The published system, as we read it",
     "imu": "Gyro: noise and bias",
     "numbers": "What each number means",
     "figures": "Figures, honestly",

@@ -76,12 +76,13 @@ def _by_fixes(run: Run, numbers: Assumptions) -> tuple[Trajectory, tuple[str, ..
 
 @dataclass(frozen=True)
 class Rounds:
-    """Rounds of ranges: t (M,) of the newest reading; anchors (M, K, 3), ranges (M, K), used (M, K)."""
+    """Rounds of ranges: t (M,) of the newest reading; anchors (M, K, 3), ranges, used, age [s] before t (M, K)."""
 
     t: Array
     anchors: Array
     ranges: Array
     used: Flags
+    age: Array
 
 
 def _by_ranges(run: Run, numbers: Assumptions) -> tuple[Trajectory, tuple[str, ...]]:
@@ -118,9 +119,10 @@ def gather_rounds(log: RangeLog, beacons: dict[str, tuple[float, float, float]])
     member = last[:, None] - np.arange(MAX_IN_ROUND)[None, :]
     used = (member >= 0) & (t[last][:, None] - t[np.maximum(member, 0)] <= MAX_ROUND)
     member = np.maximum(member, 0)
-    used &= _newest_until_three(index[member], t[last][:, None] - t[member], used)
+    age = t[last][:, None] - t[member]
+    used &= _newest_until_three(index[member], age, used)
     full = _first_of_its_beacon(index[member], used).sum(axis=1) >= 3
-    return Rounds(t[last][full], where[index[member]][full], ranges[member][full], used[full]), notes
+    return Rounds(t[last][full], where[index[member]][full], ranges[member][full], used[full], age[full]), notes
 
 
 def _newest_until_three(index: Indices, age: Array, used: Flags) -> Flags:

@@ -16,6 +16,8 @@ from core.estimation.assumptions import Config
 from core.estimation.beacon import beacon
 from core.estimation.fusion.fused import fused
 from core.estimation.odometry import encoders, encoders_gyro
+from core.estimation.published import missing as missing_for_published
+from core.estimation.published import published
 from core.estimation.result import Estimate
 from core.run import Run
 
@@ -66,6 +68,16 @@ METHODS: dict[str, Method] = {
             summary="Distance by the wheels, heading by the gyro, its bias learnt wherever the robot rests.",
             missing=needs.for_encoders_gyro,
             run=encoders_gyro,
+        ),
+        Method(
+            name="published",
+            label="Published",
+            needs="wheels, wheel radius, track width; imu with ax, ay; beacon fixes or ranges",
+            causal=True,
+            source="Lee, Shin, Cho 2009",
+            summary="The system of a paper, for comparison: IMU data replace encoder data, the beacon the position.",
+            missing=missing_for_published,
+            run=published,
         ),
         Method(
             name="fused",
