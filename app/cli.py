@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from app.cli_calibrate import add_commands as add_calibrate_commands
 from app.cli_firmware import add_commands as add_firmware_commands
 from app.cli_imu import add_commands as add_imu_commands
+from app.cli_simulate import add_commands as add_simulate_commands
 
 if TYPE_CHECKING:
     from core.errors import DriftscopeError
@@ -61,6 +62,7 @@ def parser() -> argparse.ArgumentParser:
     estimate.add_argument("--data", type=Path, help="data folder of stored runs (default data)")
     estimate.set_defaults(run=_estimate)
     add_imu_commands(commands, RUN_HELP)
+    add_simulate_commands(commands, RUN_HELP)
     add_calibrate_commands(commands, RUN_HELP)
     add_firmware_commands(commands)
     return top

@@ -1,0 +1,78 @@
+"""`driftscope simulate`: the nominal simulator on a run's commands, with effects added."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from core.robot import EffectSet
+    from core.run import Run
+
+SCENARIO = "scenario:"
+
+
+def add_commands(commands: Any, run_help: str) -> None:
+    """The command and its options."""
+    simulate = commands.add_parser("simulate", help="the nominal simulator on a run's commands, with effects added")
+    simulate.add_argument("source", metavar="RUN", help=f"{run_help}; or {SCENARIO}NAME, one of the scenario library")
+    simulate.add_argument(
+        "--effects", type=Path, metavar="F", help='JSON: {"effects": {...}}, a diagnosis, or a run.json'
+    )
+    simulate.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of all noise (default 0)")
+    simulate.add_argument("--no-noise", action="store_true", help="expected readings: no noise, encoders not rounded")
+    simulate.add_argument("--out", required=True, type=Path, metavar="DIR", help="a run folder, made anew")
+    simulate.add_argument("--data", type=Path, help="data folder of stored runs (default data)")
+    simulate.set_defaults(run=_simulate)
+
+
+def _simulate(options: argparse.Namespace) -> int:
+    import dataclasses
+
+    from app.cli import OK
+    from core.formats import write_run
+    from core.simulation import simulate
+
+    run = _driven(options.source, options.data)
+    effects = {} if options.effects is None else read_effects(options.effects)
+    made = simulate(run, effects, options.seed, noise=not options.no_noise)
+    origin = {"effects": effects, "seed": options.seed, "noise": not options.no_noise}
+    extra = {**run.meta.extra, "simulated": origin}  # beside what its simulator models, which stays as it was
+    meta = dataclasses.replace(made.meta, name=f"{run.meta.name or 'run'} (simulated)", extra=extra)
+    write_run(dataclasses.replace(made, meta=meta), options.out, "folder-csv")
+    return OK
+
+
+def read_effects(path: Path) -> EffectSet:
+    """The effects that a JSON file asks for."""
+    from core.effects.chosen import effects_of
+    from core.errors import FormatError
+
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise FormatError(f"{path}: no JSON: {error}", file=str(path)) from None
+    return effects_of(data, file=str(path))
+
+
+def _driven(source: str, data: Path | None) -> Run:
+    from app.cli import run_of
+
+    if not source.startswith(SCENARIO) or Path(source).exists():
+        return run_of(source, data)
+    from core.errors import ParameterError
+    from core.simulation.scenarios import SCENARIOS
+
+    name = source.removeprefix(SCENARIO)
+    if name not in SCENARIOS:
+        raise ParameterError(f"there is no scenario {name!r}; expected one of {', '.join(SCENARIOS)}", scenario=name)
+    return SCENARIOS[name].run()
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal() or int(text) > sys.maxsize:
+        raise argparse.ArgumentTypeError(f"{text!r} is no seed, expected a whole number from 0")
+    return int(text)
