@@ -46,11 +46,11 @@ def learn(
     noise: Floats,
     kelvin: Floats,
     white: float,
-    tail: tuple[float, float] = (0.0, 1.0),
+    tail: Floats,
 ) -> BiasNoise:
     """The most likely drift, given blocks (K,) at rest with their mean, its variance and the temperature.
 
-    tail: standard deviation [rad/s] of the rate left at a rest's beginning, and the time [s] in which it dies out.
+    tail (K,): variance [rad^2/s^2] of the rate left of the movement before.
 
     A weak prior (a factor of e^2 for one deviation) stands behind it where rests are few: `usual`.
     """
@@ -83,7 +83,7 @@ def learn(
 
 
 def _groups(
-    still: npt.NDArray[np.bool_], t: Floats, mean: Floats, noise: Floats, kelvin: Floats, tail: tuple[float, float]
+    still: npt.NDArray[np.bool_], t: Floats, mean: Floats, noise: Floats, kelvin: Floats, tail: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Means over GROUP of blocks at rest that follow each other: mean, its variance, time since the one before."""
     place = np.flatnonzero(still)
@@ -101,6 +101,6 @@ def _groups(
     variance = np.add.reduceat(noise[place], starts) / count**2
     when = np.add.reduceat(t[place], starts) / count
     # A group's blocks share what is left of the movement.
-    variance += tail[0] ** 2 * np.exp(-2 * inside[starts] * step / tail[1])
+    variance += np.add.reduceat(tail[place], starts) / count
     warm = np.add.reduceat(kelvin[place], starts) / count
     return total, variance, np.concatenate(([0.0], np.diff(when))), warm

@@ -6,11 +6,15 @@ import dataclasses
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from core.errors import MissingStreamError, NotEnoughDataError, ParameterError
 from core.imu.bias import METHODS, FilterConfig, SegmentConfig, heading_errors, known_rests, track_bias
-from core.imu.bias._filter_numba import track
+from core.imu.bias._best_numba import run as run_blocks
+from core.imu.bias._learn_numba import new_state
 from core.imu.bias.blocks import cut
+from core.imu.bias.filtered import settings as settings_of
 from core.imu.bias.result import ACCEPTED, REJECTED_BY_BAND
 from core.run import Run
 from core.sensors import CommandLog, ImuLog, WheelLog
@@ -77,20 +81,43 @@ def test_claimed_deviations_are_honest() -> None:
     assert 0.7 < np.sqrt(np.mean(bias)) < 1.4
 
 
-def test_best_looks_back_only() -> None:
-    run = plant("lively", 3, hours=0.5).run()
+@pytest.fixture(scope="module")
+def lively() -> Run:
+    """Half an hour of the lively platform with everything that a run may hold beside the gyro."""
+    made = plant("lively, temperature", 3, hours=0.5)
+    truth = np.interp(made.t, made.truth_t, made.truth_theta)
+    rng = np.random.default_rng(0)
+    shake = np.where(made.resting, 0.01, 0.1) * rng.standard_normal(len(made.t))
+    imu = ImuLog(made.t, made.gz, ax=shake, temperature=made.temperature)
+    wheels = WheelLog(made.t[::5], np.round(truth[::5] * 50) / 50, -np.round(truth[::5] * 50) / 50)
+    return Run(imu=imu, wheels=wheels)
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.floats(20.0, 1790.0))
+def test_best_depends_on_the_past_only(lively: Run, end: float) -> None:
+    assert lively.imu is not None
+    assert lively.wheels is not None
+    imu = ImuLog(**{k: v[lively.imu.t <= end] for k, v in lively.imu.columns().items()})
+    kept = lively.wheels.t <= end
+    wheels = WheelLog(lively.wheels.t[kept], lively.wheels.left[kept], lively.wheels.right[kept])
+    whole, part = track_bias(lively, "best"), track_bias(Run(imu=imu, wheels=wheels), "best")
+    closed = len(part.t) - 3  # the last block is open
+    for name in ("t", "theta", "bias", "sd", "theta_sd", "accepted"):
+        np.testing.assert_array_equal(getattr(part, name)[:closed], getattr(whole, name)[:closed])
+
+
+def test_blocks_fed_one_by_one_give_the_same() -> None:
+    run = plant("paper", 4, hours=0.3).run()
     assert run.imu is not None
     blocks = cut(run, run.imu, 0.2)
-    setting = np.array([2e-4**2, 1e-8**2, 100.0, 1e-5**2, 8e-4, 1.5, 4.0, 0.04, 0.0, 150.0, 1.5, 2.0])
-
-    def live(count: int) -> np.ndarray:
-        names = ("angle", "lost", "time", "mean", "noise", "kelvin")
-        columns = (getattr(blocks, name)[:count] for name in names)
-        return track(blocks.quiet[:count], blocks.calm[:count], True, *columns, setting)[5]
-
-    whole = live(len(blocks.t))
-    for count in (1000, 3333, 6001):
-        np.testing.assert_array_equal(whole[:count], live(count))
+    c = settings_of(FilterConfig(), blocks.length, warm=False)
+    whole, _, _ = run_blocks(new_state(c), c, run.imu.gz, blocks.start, blocks.given.copy())
+    state, x = new_state(c), run.imu.gz
+    for k in range(len(blocks.t)):
+        readings = x[blocks.start[k] : blocks.start[k + 1]]
+        now, _, _ = run_blocks(state, c, readings, np.array([0, len(readings)]), blocks.given[k : k + 1].copy())
+        np.testing.assert_array_equal(now[0], whole[k])
 
 
 def test_hindsight_repairs_the_heading_of_a_start_in_movement() -> None:
