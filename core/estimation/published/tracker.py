@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -18,10 +19,12 @@ from core.estimation.assumptions import Assumptions
 from core.estimation.odometry import chi2_gate
 from core.estimation.published.decisions import Decisions
 from core.estimation.published.fixes import Fixes
-from core.estimation.published.kalman import PoseFilter
 from core.estimation.published.reckoning import Reckoning, motion
 from core.estimation.result import Event, Innovations
 from core.geometry import between, compose, wrap_angle
+
+if TYPE_CHECKING:
+    from core.estimation.published.kalman import PoseFilter
 
 Array = npt.NDArray[np.float64]
 
@@ -54,6 +57,8 @@ class Tracker:
 
     def walk(self, pose: Array, covariance: Array, skip: int = 0) -> Track:
         """From a start pose at the path's first stamp; the first `skip` fixes were spent on it."""
+        from core.estimation.published.kalman import PoseFilter  # filterpy brings scipy.stats, which is slow to import
+
         t = self.fixes.t[skip:]
         rows = self.path.at(np.concatenate((self.path.t[:1], t)))
         steps, noise = motion(rows[:-1], rows[1:])

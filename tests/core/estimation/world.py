@@ -101,7 +101,7 @@ def simulate(
         Run(
             meta,
             wheels=_wheels(rng, t, d, turn, flaws, sensors.wheels) if sensors.wheels else None,
-            imu=_imu(rng, t, pose[:, 2], flaws, sensors) if sensors.imu else None,
+            imu=_imu(rng, t, v, w, pose[:, 2], flaws, sensors) if sensors.imu else None,
             beacon=_fixes(rng, t, pose, sensors) if sensors.fixes else None,
             ranges=_ranges(rng, t, pose, sensors) if sensors.ranges else None,
             truth=TruthLog(t[every], *truth.T.copy()),
@@ -137,14 +137,17 @@ def _wheels(rng: np.random.Generator, t: Array, d: Array, turn: Array, flaws: Fl
     return WheelLog(t[rows], left, right)
 
 
-def _imu(rng: np.random.Generator, t: Array, theta: Array, flaws: Flaws, sensors: Sensors) -> ImuLog:
+def _imu(
+    rng: np.random.Generator, t: Array, v: Array, w: Array, theta: Array, flaws: Flaws, sensors: Sensors
+) -> ImuLog:
     rows = _rows(t, sensors.imu)
     half = round(0.5 / (sensors.imu * STEP))
     a, b = np.clip(rows - half, 0, t.size - 1), np.clip(rows + half, 0, t.size - 1)
     rate = (theta[b] - theta[a]) / (t[b] - t[a]) * (1 + flaws.gyro_scale)
     wander = flaws.bias_walk * np.sqrt(1 / sensors.imu) * np.cumsum(rng.standard_normal(rows.size))
     noise = sensors.gyro_density * np.sqrt(sensors.imu / 2) * rng.standard_normal(rows.size)
-    return ImuLog(t[rows], rate + flaws.bias + wander + noise)
+    forward = (v[b] - v[a]) / (t[b] - t[a])
+    return ImuLog(t[rows], rate + flaws.bias + wander + noise, ax=forward, ay=v[rows] * w[rows])
 
 
 def _tag(pose: Array) -> Array:
