@@ -117,7 +117,7 @@ def report(
             )
     print(f"\n{hours:.1f} h without faults, {faulty_hours:.1f} h with; at knob 1 by size:")
     print(
-        f"{'kind':13s} {'size':>16s} {'found':>7s} {'onset':>7s} {'seen':>7s} {'n':>5s} {'onset error, median, 95 %; delay':>34s}"
+        f"{'kind':13s} {'size':>16s} {'found':>7s} {'onset':>7s} {'seen':>7s} {'n':>5s}{'onset err, 95 %; alarm':>34s}"
     )
     for kind, edges in SIZES.items():
         for low, high in itertools.pairwise(edges):

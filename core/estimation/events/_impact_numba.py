@@ -25,7 +25,7 @@ OUTLIER = 4.0
 RING = 512
 BINS = 4
 NOISES = 4  # blow, az, tilt rates, plane
-SIZE = 11  # columns of a found blow: t0, alarm, t1, release, statistic, jx, jy, peak in plane, peak of az, of rates, x
+SIZE = 12  # of a found blow: t0, alarm, t1, release, statistic, jx, jy, peaks in plane, of az, of rates, wheels, place
 STATE = 40
 PLANE, UP = 12, 24  # places of the two kinds of blow in the state
 
@@ -115,7 +115,7 @@ def _follow(o: int, t: float, loud: bool, stat: float, now: Any, s: Any, found: 
     row = found[n]
     row[0], row[1], row[2], row[3], row[4] = s[o + 1], s[o + 2], s[o + 3], t, s[o + 4]
     row[5], row[6], row[7], row[8], row[9] = s[o + 5], s[o + 6], s[o + 7], s[o + 8], s[o + 9]
-    row[10] = float(o)
+    row[10], row[11] = s[o + 10], float(o)
     s[o] = 0.0
     return n + 1
 
@@ -125,14 +125,16 @@ def _open(o: int, t: float, t0: float, stat: float, s: Any) -> None:
     s[o], s[o + 1], s[o + 2], s[o + 3], s[o + 4], s[9] = 1.0, t0, t, t, stat, t
     for j in range(5, 10):
         s[o + j] = 0.0
+    s[o + 10] = s[10]
 
 
 @njit(error_model="numpy", cache=True)
 def walk(t: Any, data: Any, speed: Any, s: Any, ring: Any, noise: Any, weight: Any, last: Any, found: Any,
          flush: bool, c: Any) -> int:  # fmt: skip
-    """Fill found (., SIZE) with blows that ended here, and return how many; column 10 is PLANE or UP.
+    """Fill found (., SIZE) with blows that ended here, and return how many; column 11 is PLANE or UP.
 
-    t (N,), data (N, 5) ax ay az gx gy, NaN where absent, speed (N,) of the rims. State: s (STATE,), ring (RING, 6),
+    t (N,), data (N, 5) ax ay az gx gy, NaN where absent, speed (N, 2) of the faster rim
+    and of their mean. State: s (STATE,), ring (RING, 6),
     noise and weight (BINS, NOISES). last (N,): when the newest blow was known, as of each sample.
     """
     w, now, n = np.zeros(10), np.zeros(8), 0
@@ -149,7 +151,7 @@ def walk(t: Any, data: Any, speed: Any, s: Any, ring: Any, noise: Any, weight: A
             for k in range(5):
                 s[2 + k] = values[k]
             s[1], dt = 1.0, 0.01
-        s[0] = t[i]
+        s[0], s[10] = t[i], speed[i, 1]
         quiet = s[PLANE] == 0.0 and s[UP] == 0.0
         gain = dt / (MEAN + dt) * (1.0 if quiet else 0.3)
         head, s[7] = int(s[7] + 1) % RING, (s[7] + 1.0) % RING
@@ -161,7 +163,7 @@ def walk(t: Any, data: Any, speed: Any, s: Any, ring: Any, noise: Any, weight: A
         for k in range(5):
             s[2 + k] += gain * (values[k] - s[2 + k])
         _windows(int(s[8]), head, ring, w)
-        b = 0 if speed[i] < 1e-6 else (1 if speed[i] < 0.15 else (2 if speed[i] < 0.5 else 3))
+        b = 0 if speed[i, 0] < 1e-6 else (1 if speed[i, 0] < 0.15 else (2 if speed[i, 0] < 0.5 else 3))
         plane = row[1] ** 2 + row[2] ** 2
         n = _judge(t[i], b, row, plane, w, now, head, s, ring, noise, weight, found, n, c)
         last[i] = s[9]

@@ -40,7 +40,8 @@ SLIP, COLLISION, BOUNCE, PUSHED, STUCK, DEAD = range(6)  # as KINDS
 MIS, BLOCKED, SPIN = 0, 20, 40  # places of the three open incidents in the state
 ASK_L, ASK_R, CALM, DEAD_END, LAST_MIS, KEEP = range(60, 66)
 STATE = 70
-# of an open incident: open, kind, t0, alarm, last sign, left, right, turn, stopped, z, turn, along, side, first along or rim speed
+# of an open incident: open, kind, t0, alarm, last sign, left, right, turn, stopped, z, turn, along, side, and the
+# first along or the rims' speed
 SIZE = 14
 
 FLAT = 0.12  # s without a tick that make a wheel flat

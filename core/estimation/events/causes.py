@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from core.estimation.events.disturbances import BOUNCE, COLLISION, DEAD_ENCODER, PUSHED, SLIP, Disturbance
 
 HARD = 7.0  # m/s^2: no motor brakes or starts like this; a softer blow needs the wheels as witness
+GRIP = 10.0  # m/s^2: what tyres can do at most
 BEFORE, AFTER = 0.2, 0.5  # s: a contradiction from so early to so late belongs to the blow
 
 
@@ -47,10 +48,15 @@ def _stronger(rival: Disturbance, blow: Disturbance) -> bool:
 
 
 def _goes_on(d: Disturbance, blow: Disturbance) -> bool:
-    """A contradiction that began before: the blow is what a push does, or grip coming back, which heals it."""
-    if d.kind in (SLIP, DEAD_ENCODER) and blow.kind == COLLISION and d.along * blow.along > 0.03**2:
-        return d.t0 - BEFORE < blow.t0 <= d.t1 + BEFORE
-    return d.kind in (SLIP, PUSHED, DEAD_ENCODER) and d.t0 + BEFORE < blow.t0 <= d.t1 + 0.1
+    """A contradiction that began before: the blow is what a push does, or grip coming back."""
+    if d.kind not in (SLIP, PUSHED, DEAD_ENCODER) or not d.t0 - BEFORE < blow.t0 <= d.t1 + BEFORE:
+        return False
+    if d.t0 + BEFORE < blow.t0:
+        return True
+    if blow.kind == BOUNCE or d.kind == PUSHED or blow.peak >= GRIP:
+        return False
+    heals = d.t0 + 0.08 < blow.t0 and d.along * blow.along > 0.0
+    return heals or (blow.along * blow.wheels > 0.0 and abs(blow.wheels) > 0.05)
 
 
 def _named(d: Disturbance, blows: Sequence[Disturbance]) -> Disturbance:

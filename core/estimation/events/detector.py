@@ -23,9 +23,9 @@ from core.sensors import ImuLog
 Array = npt.NDArray[np.float64]
 
 SHEET_ACCEL = 3e-3  # m/s^2/sqrt(Hz), where run.json is silent
-SYSTEMATIC_TURN, SYSTEMATIC_SPEED = 2e-3, 0.012  # rad, m/s: smaller contradictions are nobody's business
-TILT_WALK = 0.05  # m/s^2/sqrt(s): the floor is not level
-TAIL = 1.35  # real noise has longer tails than Gauss: thresholds are higher by this
+SYSTEMATIC_TURN, SYSTEMATIC_SPEED = 2e-3, 0.01  # rad, m/s: smaller contradictions are nobody's business
+TILT_WALK = 0.025  # m/s^2/sqrt(s): the floor is not level
+TAIL = 1.2  # real noise has longer tails than Gauss: thresholds are higher by this
 LEAST_BLOW, LEAST_PEAK, LEAST_HEAVE = 0.06, 4.0, 1.5  # m/s, m/s^2, m/s^2
 MEMORY = 20.0  # s over which noise is learnt
 DELAY_SD, INEQUALITY_TURN = 0.03, 0.02  # s; rad/m
@@ -77,7 +77,7 @@ class Detector:
         self._bweight = np.full((impact.BINS, impact.NOISES), 2.0)
         self._cs = np.zeros(incident.STATE)
         self._cs[incident.LAST_MIS] = -1e9
-        self._last_blow, self._speed = -1e9, 0.0
+        self._last_blow, self._speed = -1e9, np.zeros(2)
         self._rows: list[Array] = []
 
     def feed(self, piece: Run) -> tuple[Disturbance, ...]:
@@ -133,19 +133,17 @@ class Detector:
             self._blow_limits,
         )  # fmt: skip
         up = self._i.UP
-        return [Blow.of(row, bool(row[10] == up)) for row in found[:n]], t, last
+        return [Blow.of(row, bool(row[11] == up)) for row in found[:n]], t, last
 
     def _rim_speed(self, piece: Run, t: Array) -> Array:
-        """Speed [m/s] of the faster wheel by the newest readings at each IMU stamp; 0.3 where there are no wheels."""
-        radius = self._meta.robot.wheel_radius
-        if piece.wheels is None or not radius or len(piece.wheels) < 2:
-            return np.full(len(t), self._speed if piece.wheels is not None else 0.3)
-        w = piece.wheels
-        rim = np.maximum(np.abs(np.diff(w.left)), np.abs(np.diff(w.right))) * radius / np.diff(w.t)
-        place = np.searchsorted(w.t[1:], t, "right")
-        speed = np.concatenate(([self._speed], rim))[place]
-        self._speed = float(rim[-1])
-        return np.asarray(speed, np.float64)
+        """(N, 2) speed [m/s] of the faster wheel, and of both on average, by the newest readings at each IMU stamp."""
+        radius, w = self._meta.robot.wheel_radius, piece.wheels
+        if w is None or not radius or len(w) < 2:
+            return np.tile(self._speed, (len(t), 1))
+        rims = np.diff(np.column_stack((w.left, w.right)), axis=0) * radius / np.diff(w.t)[:, None]
+        speed = np.vstack((self._speed, np.column_stack((np.abs(rims).max(axis=1), rims.mean(axis=1)))))
+        self._speed = speed[-1]
+        return np.ascontiguousarray(speed[np.searchsorted(w.t[1:], t, "right")])
 
     def _residuals(self, piece: Run, flush: bool) -> Array:
         t, kind, data = self._merged(piece)

@@ -27,7 +27,8 @@ class Disturbance:
     left, right: that wheel's reading is wrong; turn: it is the difference of both (which wheel, nobody can say);
     accelerometer: it is blinded; stopped: the body stands still, whatever the wheels say.
     statistic: in sigma of its residual; size [m/s], of a bounce [m/s^2]; peak [m/s^2];
-    along: speed gained in a blow, or by which the wheels ran ahead of the accelerometer [m/s].
+    along: speed gained in a blow, or by which the wheels ran ahead of the accelerometer [m/s];
+    wheels: their speed in a blow [m/s].
     """
 
     kind: str
@@ -44,6 +45,7 @@ class Disturbance:
     size: float = 0.0
     peak: float = 0.0
     along: float = 0.0
+    wheels: float = 0.0
     evidence: str = ""
     replaced: str = ""
 

@@ -16,7 +16,7 @@ LOOK = 0.05  # s after a blow's alarm until its size is known
 @dataclass(frozen=True)
 class Blow:
     """A row of `_impact_numba`: times [s], statistic [sigma], speed (jx, jy) gained within 60 ms [m/s], peaks in the
-    plane and upwards [m/s^2] and of pitch and roll [rad/s]; up: found upwards, else in the plane."""
+    plane and upwards [m/s^2] and of pitch and roll [rad/s]; wheels: their speed [m/s]; up: else in the plane."""
 
     t0: float
     alarm: float
@@ -28,13 +28,14 @@ class Blow:
     plane: float
     heave: float
     rates: float
+    wheels: float
     up: bool
 
     @classmethod
     def of(cls, row: npt.NDArray[np.float64], up: bool) -> Blow:
-        """From the row's first ten columns."""
-        t0, alarm, t1, release, statistic, jx, jy, plane, heave, rates = (float(x) for x in row[:10])
-        return cls(t0, alarm, t1, release, statistic, jx, jy, plane, heave, rates, up)
+        """From the row's first columns."""
+        t0, alarm, t1, release, statistic, jx, jy, plane, heave, rates, wheels = (float(x) for x in row[:11])
+        return cls(t0, alarm, t1, release, statistic, jx, jy, plane, heave, rates, wheels, up)
 
 
 def blow_disturbance(b: Blow) -> Disturbance:
@@ -57,7 +58,7 @@ def blow_disturbance(b: Blow) -> Disturbance:
     )
     return Disturbance(
         COLLISION, b.t0, b.t1, alarm, release, accelerometer=True, statistic=b.statistic, size=gained, peak=b.plane,
-        along=b.jx, evidence=text,
+        along=b.jx, wheels=b.wheels, evidence=text,
         replaced="accelerometer not used, speed doubted",
     )  # fmt: skip
 
