@@ -11,7 +11,7 @@ from core.estimation import Estimate, estimate
 from core.estimation.assumptions import Assumptions
 from core.metrics import chi2_band, evaluate, nees
 from core.run import Run
-from core.sensors import BeaconLog
+from core.sensors import BeaconLog, ImuLog
 
 from .world import BEACONS, Flaws, Sensors, World, simulate
 
@@ -144,9 +144,7 @@ def test_a_pause_of_the_gyro_is_carried_by_the_wheels() -> None:
     imu = world.run.imu
     assert imu is not None
     kept = (imu.t < 20) | (imu.t > 26)
-    found = estimate(
-        dataclasses.replace(world.run, imu=dataclasses.replace(imu, t=imu.t[kept], gz=imu.gz[kept])), "fused"
-    )
+    found = estimate(dataclasses.replace(world.run, imu=ImuLog(imu.t[kept], imu.gz[kept])), "fused")
     errors, claimed = evaluate(found.trajectory, world.run.truth), nees(found.trajectory, world.run.truth)
     turned = np.ptp(world.truth[(imu.t[-1] * np.linspace(0, 1, len(world.truth)) > 20), 2][:120])
     assert turned > 1.0
