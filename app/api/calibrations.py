@@ -18,6 +18,7 @@ from app.db.tables import Calibration, Run
 from app.errors import NotFoundError
 from app.figures import calibration as figures
 from app.figures.signals import stream_of
+from app.jobs.calibration import mean_rate
 from app.store import calibrations as store
 from app.store import imu as imu_store
 from app.store import runs as run_store
@@ -220,6 +221,7 @@ def _rate(row: Calibration) -> float | None:
 
 def calibration_run(run: Run) -> wire.CalibrationRun:
     """A run to calibrate from on the wire."""
-    rate = next((s.rate_hz for s in run.streams if s.name == "imu"), None)
+    imu = next((s for s in run.streams if s.name == "imu"), None)
+    rate = mean_rate({"rows": imu.rows, "t0": imu.t0, "t1": imu.t1}) if imu else None
     kind = (run.meta.get("procedure") or {}).get("kind")
     return wire.CalibrationRun(id=run.id, name=run.name, kind=kind, rate_hz=rate)

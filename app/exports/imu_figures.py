@@ -18,41 +18,38 @@ class AxisNoise:
     """One axis, SI of its unit u; None where neither the calibration nor a run shows it.
 
     density [u/√Hz] two-sided (a reading's sd is density times √rate); walk [u/s/√Hz] of the bias; sd [u] of a reading.
-    `origin`: where density and walk are from.
+    The origins say where density and walk are from.
     """
 
     density: float | None
     walk: float | None
     sd: float | None
-    origin: str
+    density_origin: str = "not known"
+    walk_origin: str = "not known"
 
 
 Allan = Mapping[str, Mapping[str, float | None]]  # N and K by axis, as `imu.noise` of a run's overview
 
 
 def axis_noise(calibration: ImuCalibration, axis: str, rate: float, allan: Allan | None = None) -> AxisNoise:
-    """Noise of an axis for an IMU read at `rate` [Hz]: from a run's Allan fit where it shows it, else the calibration.
+    """Noise of an axis read at `rate` [Hz]: from a run's Allan fit where that shows it, else from the calibration.
 
     The walk of a calibration is that of its drift as a Gauss-Markov process: amplitude times √(2 / tau).
     """
     model = calibration.gyro if axis[0] == "g" else calibration.accel
     k = "xyz".index(axis[1])
     found = (allan or {}).get(axis) or {}
-    sd, origins = _known(model.noise_sd[k]), []
-    density, walk = found.get("N"), found.get("K")
+    sd, density, walk = _known(model.noise_sd[k]), found.get("N"), found.get("K")
+    origins = {"density": "Allan fit of a run", "walk": "Allan fit of a run"}
     if density is not None:
-        origins.append("density: Allan fit")
         sd = density * math.sqrt(rate)
     elif sd is not None:
         density = sd / math.sqrt(rate)
-        origins.append("density: noise of a reading over the root of the rate")
-    if walk is not None:
-        origins.append("walk: Allan fit")
-    else:
+        origins["density"] = "noise of a reading over the root of the rate"
+    if walk is None:
         walk = drive(_known(model.drift_amplitude[k]), _known(model.drift_tau[k]))
-        if walk is not None:
-            origins.append("walk: drift of the calibration")
-    return AxisNoise(density, walk, sd, "; ".join(origins) or "not known")
+        origins["walk"] = "drift of the calibration as a Gauss-Markov process"
+    return AxisNoise(density, walk, sd, origins["density"], origins["walk"])
 
 
 def drive(amplitude: float | None, tau: float | None) -> float | None:

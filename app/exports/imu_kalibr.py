@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from app.exports.imu_figures import Allan, AxisNoise, axis_noise
+from app.exports.imu_figures import Allan, axis_noise
 from core.calibration.imu import ImuCalibration
 
 SENSORS = (("accelerometer", "a", "m/s^2"), ("gyroscope", "g", "rad/s"))
@@ -21,20 +21,21 @@ def kalibr_yaml(calibration: ImuCalibration, *, name: str, rate: float, allan: A
     ]
     for sensor, letter, unit in SENSORS:
         axes = {f"{letter}{k}": axis_noise(calibration, f"{letter}{k}", rate, allan) for k in "xyz"}
-        lines.append("")
-        lines += _line(f"{sensor}_noise_density", {a: n.density for a, n in axes.items()}, f"{unit}/sqrt(Hz)", axes)
-        lines += _line(f"{sensor}_random_walk", {a: n.walk for a, n in axes.items()}, f"{unit}/s/sqrt(Hz)", axes)
+        density = {axis: (found.density, found.density_origin) for axis, found in axes.items()}
+        walk = {axis: (found.walk, found.walk_origin) for axis, found in axes.items()}
+        lines += ["", *_line(f"{sensor}_noise_density", density, f"{unit}/sqrt(Hz)")]
+        lines += _line(f"{sensor}_random_walk", walk, f"{unit}/s/sqrt(Hz)")
     lines += ["", "rostopic: /imu", f"update_rate: {rate:g}  # Hz", ""]
     return "\n".join(lines)
 
 
-def _line(key: str, values: dict[str, float | None], unit: str, axes: dict[str, AxisNoise]) -> list[str]:
-    known = {axis: value for axis, value in values.items() if value is not None}
+def _line(key: str, values: dict[str, tuple[float | None, str]], unit: str) -> list[str]:
+    known = {axis: value for axis, (value, _) in values.items() if value is not None}
     if not known:
         return [f"# {key}: not known; run an Allan deviation of a long rest  # [{unit}]"]
     worst = max(known, key=lambda axis: known[axis])
     # YAML 1.1 takes 1e-4 for text: a mantissa with a point, and a sign, make it a number
-    return [f"{key}: {known[worst]:.6e}  # [{unit}], {worst}; {axes[worst].origin}"]
+    return [f"{key}: {known[worst]:.6e}  # [{unit}], {worst}; {values[worst][1]}"]
 
 
 def _plain(text: str) -> str:

@@ -25,8 +25,11 @@ def sentence(result: Mapping[str, Any]) -> str:
     gyro, accel = result["gyro"], result["accel"]
     static, drift, tau = (gyro[name][2] for name in ("static_bias", "drift_amplitude", "drift_tau"))
     parts = [f"Gyro z reads {bias(static)} at switching on" if static is not None else "Gyro z: bias not known"]
+    tau_sd = result["sd"]["gyro"]["drift_tau"][2]
     if drift is not None and tau is not None:
-        parts[0] += f" and drifts by {bias(drift)} with a time of {duration(tau)}"
+        shown = tau_sd is not None and tau_sd < tau / 2
+        told = f"by {bias(drift)} with a time of {duration(tau)}" if shown else "on beyond the length of its runs"
+        parts[0] += f" and drifts {told}"
     for name, matrix in (("gyro", gyro["matrix"]), ("accelerometer", accel["matrix"])):
         off = [abs(v - (i == j)) for i, row in enumerate(matrix) for j, v in enumerate(row) if v is not None]
         if off:
@@ -63,7 +66,7 @@ def bode(rate: float | None) -> dict[str, Any]:
     from core.calibration.imu import WINDOW, moving_average_bode
 
     hertz = rate or RATE
-    made = moving_average_bode(hertz, np.linspace(hertz / 2 / POINTS, hertz / 2, 2 * POINTS))
+    made = moving_average_bode(hertz, np.linspace(hertz / 2 / POINTS, hertz / 2, 2 * POINTS, endpoint=False))
     return {
         "rate_hz": hertz,
         "window": WINDOW,

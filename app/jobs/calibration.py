@@ -66,7 +66,7 @@ def _report(made: Any, manifests: Sequence[Mapping[str, Any]]) -> dict[str, Any]
                 "id": manifest["id"],
                 "name": manifest["name"],
                 "kind": (manifest["meta"].get("procedure") or {}).get("kind"),
-                "rate_hz": next((s["rate_hz"] for s in manifest["streams"] if s["name"] == "imu"), None),
+                "rate_hz": next((mean_rate(s) for s in manifest["streams"] if s["name"] == "imu"), None),
             }
             for manifest in manifests
         ],
@@ -159,6 +159,12 @@ def _corrected(
                 writers[name].append(np.ascontiguousarray(out[:, AXES.index(name)], kind))
             progress(rows.stop / len(t), f"{rows.stop:,} of {len(t):,} readings")
         return {name: writer.commit() for name, writer in writers.items()}, made.notes
+
+
+def mean_rate(stream: Mapping[str, Any]) -> float | None:
+    """Readings over time [Hz]: what densities go by, however the stamps jitter."""
+    span = stream["t1"] - stream["t0"]
+    return (stream["rows"] - 1) / span if span > 0 else None
 
 
 def _axis(axis: Any) -> dict[str, Any]:

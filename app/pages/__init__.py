@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from fastapi import APIRouter
 
-from app.pages import about, compare, guide, jobs, run, runs
+from app.pages import about, calibration, calibrations, compare, guide, jobs, run, runs
 
 PAGES: dict[str, APIRouter] = {
     "runs": runs.router,
     "run": run.router,
     "compare": compare.router,
+    "calibrations": calibrations.router,
+    "calibration": calibration.router,
     "jobs": jobs.router,
     "guide": guide.router,
     "about": about.router,

@@ -14,11 +14,13 @@ export function notesList(notes) {
   return notes.length ? h("ul", { class: "imu-notes" }, notes.map((n) => h("li", {}, n))) : "";
 }
 
-/** A button that puts the `driftscope` line for the same result on the clipboard; the line stands on its hover. */
+/** A button that puts the `driftscope` line for the same result on the clipboard; the line, made when it is wanted, stands on its hover. */
 export function copyCommand(line) {
-  const button = h("button", { type: "button", class: "button quiet", "data-hint": line }, "Copy as command");
+  const button = h("button", { type: "button", class: "button quiet" }, "Copy as command");
+  button.addEventListener("pointerenter", () => (button.dataset.hint = line()));
+  button.addEventListener("focus", () => (button.dataset.hint = line()));
   button.addEventListener("click", async () => {
-    button.textContent = (await copyText(line)) ? "Copied" : "Copy was refused";
+    button.textContent = (await copyText(line())) ? "Copied" : "Copy was refused";
     setTimeout(() => (button.textContent = "Copy as command"), 2500);
   });
   return button;

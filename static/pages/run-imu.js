@@ -7,6 +7,7 @@ import { seriesSwatch } from "../lib/chart-frame.js";
 import { h } from "../lib/dom.js";
 import { mountBias } from "./run-bias.js";
 import { mountAllan } from "./run-imu-allan.js";
+import { mountCalibration } from "./run-imu-calibration.js";
 import { biasChart, errorChart, headingChart, signalChart } from "./run-imu-curves.js";
 import { imuJob } from "./run-imu-job.js";
 import { copyCommand, refusal, section } from "./run-imu-parts.js";
@@ -84,7 +85,7 @@ function sections(context) {
   add("signal", "Signal", "every sample counts; what is drawn is thinned", (host) => charts(host, context, [["imu-signal", (cell) => signalChart(cell, context, state.axis)]], "one"));
   if (imu.analysed) {
     const picker = h("span", { class: "imu-focus" });
-    add("bias", "Bias", "of gz, by five methods", (host) => charts(host, context, [["imu-bias", (cell) => biasChart(cell, context)]], "one tall", focusPicker(picker, context)), picker, copyCommand(bias(state.focus())));
+    add("bias", "Bias", "of gz, by five methods", (host) => charts(host, context, [["imu-bias", (cell) => biasChart(cell, context)]], "one tall", focusPicker(picker, context)), picker, copyCommand(() => bias(state.focus())));
     add("heading", "Heading", imu.has_heading ? "against truth, from the same start" : "no reference heading in this run: nothing judges it", (host) => {
       const list = [["imu-heading", (cell) => headingChart(cell, context)]];
       if (imu.methods.some((m) => m.columns.includes("error"))) list.push(["imu-error", (cell) => errorChart(cell, context)]);
@@ -92,10 +93,11 @@ function sections(context) {
     });
     const { table, copy } = methodsTable(context);
     add("methods", "Methods by figures", "", (host) => (host.replaceChildren(table, methodNotes(context)), null), copy);
-    add("allan", "Noise", "", (host) => mountAllan(host, context, state.axis), copyCommand(`driftscope allan ${run.id} --axis ${state.axis} --json -`));
+    add("allan", "Noise", "", (host) => mountAllan(host, context, state.axis), copyCommand(() => `driftscope allan ${run.id} --axis ${state.axis} --json -`));
   }
   add("statistics", "A stretch", "", (host) => mountStatistics(host, context, state.axis));
   if (imu.has_temperature && imu.analysed) add("temperature", "Temperature", "", (host) => mountTemperature(host, context));
+  add("calibration", "Calibration", "a stored error model against this run: Algorithm 1, sample by sample and with hindsight", (host) => mountCalibration(host, context));
   if (context.estimates().some((e) => e.columns.includes("bias"))) add("paths", "Bias by the methods of the path", "", (host) => mountBias(host, context));
 
   const sight = { observer: null };
