@@ -21,7 +21,8 @@ BLOW, SHORT, LONG = 0.06, 0.05, 0.25  # s
 MEAN = 0.5  # s, memory of an axis' own mean
 LOOK = 0.05  # s after the alarm in which the blow shows its size
 CALM = 0.12  # s without a sign until it is over
-OUTLIER = 4.0
+OUTLIER = 4.0  # sigma^2: most that a reading adds to the learnt noise
+IN_ALARM = 4.0  # during an alarm noise is learnt so much slower: it may be the noise that is wrong
 RING = 512
 BINS = 4
 NOISES = 4  # blow, az, tilt rates, plane
@@ -46,7 +47,7 @@ class Limits(NamedTuple):
 @njit(error_model="numpy", cache=True)
 def _learn(noise: Any, weight: Any, b: int, k: int, square: float, floor: float, dt: float, memory: float) -> float:
     v = max(noise[b, k], floor)
-    rate = max(dt / memory, dt / (weight[b, k] + dt))
+    rate = min(max(dt / memory, dt / (weight[b, k] + dt)), 1.0)
     noise[b, k] += rate * (min(square, OUTLIER * v) * 1.09 - noise[b, k])
     weight[b, k] += dt
     return v
@@ -121,11 +122,11 @@ def _follow(o: int, t: float, loud: bool, stat: float, now: Any, s: Any, found: 
 
 
 @njit(error_model="numpy", cache=True)
-def _open(o: int, t: float, t0: float, stat: float, s: Any) -> None:
+def _open(o: int, t: float, t0: float, stat: float, w: Any, s: Any) -> None:
     s[o], s[o + 1], s[o + 2], s[o + 3], s[o + 4], s[9] = 1.0, t0, t, t, stat, t
-    for j in range(5, 10):
+    for j in range(7, 10):
         s[o + j] = 0.0
-    s[o + 10] = s[10]
+    s[o + 5], s[o + 6], s[o + 10] = w[0], w[1], s[10]
 
 
 @njit(error_model="numpy", cache=True)
@@ -196,18 +197,18 @@ def _judge(t: float, b: int, row: Any, plane: float, w: Any, now: Any, head: int
     if s[PLANE] > 0.0:
         n = _follow(PLANE, t, blown or (plane > 9.0 * v_plane and plane > 1.0), z_blow, now, s, found, n)
     elif blown and _peak(head, s, ring) > c.least_peak:
-        _open(PLANE, t, _begin(int(s[8]), head, ring, False, math.sqrt(v_plane)), z_blow, s)
+        _open(PLANE, t, _begin(int(s[8]), head, ring, False, math.sqrt(v_plane)), z_blow, w, s)
         _peaks(PLANE, head, s, ring)
     if s[UP] > 0.0:
         n = _follow(UP, t, heave > 0.6 * c.heave, heave, now, s, found, n)
     elif heaved:
-        _open(UP, t, _begin(int(s[8]), head, ring, True, math.sqrt(v_up)), heave, s)
+        _open(UP, t, _begin(int(s[8]), head, ring, True, math.sqrt(v_up)), heave, w, s)
         _peaks(UP, head, s, ring)
-    if s[PLANE] == 0.0 and s[UP] == 0.0:
-        _learn(noise, weight, b, 0, blow2, fa * 2.0 * BLOW * dt, dt, c.memory)
-        _learn(noise, weight, b, 1, row[3] ** 2, fa, dt, c.memory)
-        _learn(noise, weight, b, 2, row[4], fr, dt, c.memory)
-        _learn(noise, weight, b, 3, plane, 2.0 * fa, dt, c.memory)
+    memory = c.memory * (1.0 if s[PLANE] == 0.0 and s[UP] == 0.0 else IN_ALARM)
+    _learn(noise, weight, b, 0, blow2, fa * 2.0 * BLOW * dt, dt, memory)
+    _learn(noise, weight, b, 1, row[3] ** 2, fa, dt, memory)
+    _learn(noise, weight, b, 2, row[4], fr, dt, memory)
+    _learn(noise, weight, b, 3, plane, 2.0 * fa, dt, memory)
     return n
 
 

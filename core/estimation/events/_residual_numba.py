@@ -31,6 +31,7 @@ TURN, ALONG, SIDE = range(3)
 BINS, WINDOWS = 4, 4
 LENGTHS = (1, 3, 8, 20)  # base steps
 OUTLIER = 4.0  # sigma^2: most that a reading adds to the learnt noise
+IN_ALARM = 4.0  # during an alarm noise is learnt so much slower: it may be the noise that is wrong
 CLIP = 4.0  # sigma: most that a step adds to the CUSUM
 DRIFT = 0.5  # sigma per step that the CUSUM forgives
 COAST = 2.0  # s that the accelerometer may carry the speed
@@ -213,11 +214,10 @@ def _test(t: float, h: float, nu: float, slow: float, late: float, quiet: float,
             top = max(top, int(past[m, 3]))
             m += 1
         v = max(noise[top, w], quiet)
-        if ch[3] == 0.0:
-            near = min(total * total, OUTLIER * v) * 1.09
-            rate = max(h / c.memory, h / (weight[top, w] + h))
-            noise[top, w] += rate * (near - noise[top, w])
-            weight[top, w] += h
+        near = min(total * total, OUTLIER * v) * 1.09
+        rate = max(h / c.memory, h / (weight[top, w] + h)) if ch[3] == 0.0 else h / (IN_ALARM * c.memory)
+        noise[top, w] += rate * (near - noise[top, w])
+        weight[top, w] += h if ch[3] == 0.0 else 0.0
         v += coherent * coherent + shifted * shifted
         z = total / math.sqrt(v)
         if abs(z) > abs(best):

@@ -25,10 +25,12 @@ Array = npt.NDArray[np.float64]
 SHEET_ACCEL = 3e-3  # m/s^2/sqrt(Hz), where run.json is silent
 SYSTEMATIC_TURN, SYSTEMATIC_SPEED = 2e-3, 0.01  # rad, m/s: smaller contradictions are nobody's business
 TILT_WALK = 0.025  # m/s^2/sqrt(s): the floor is not level
-TAIL = 1.2  # real noise has longer tails than Gauss: thresholds are higher by this
+TAIL = 1.25  # real noise has longer tails than Gauss: thresholds are higher by this
 LEAST_BLOW, LEAST_PEAK, LEAST_HEAVE = 0.06, 4.0, 1.5  # m/s, m/s^2, m/s^2
 MEMORY = 20.0  # s over which noise is learnt
-DELAY_SD, INEQUALITY_TURN = 0.03, 0.02  # s; rad/m
+FIRST_BLOWS = (0.12**2, 1.5**2, 0.15**2, 2.5**2)  # noise of blow, az, rates, plane before any is learnt
+SEEN = 0.3  # s, weight of that first guess
+DELAY_SD = 0.03  # s, between the streams
 FLOOR_ACCEL, FLOOR_RATE = 0.05, 0.01  # m/s^2, rad/s: quieter is taken for this
 
 
@@ -73,8 +75,8 @@ class Detector:
         self._calm = np.array((self._limits.still_gyro, self._limits.still_accel, 0.0, 0.0, 0.0))
         self._bs, self._bring = np.zeros(impact.STATE), np.zeros((impact.RING, 6))
         self._bs[9] = -1e9
-        self._bnoise = np.tile((0.05**2, 0.7**2, 0.05**2, 1.0), (impact.BINS, 1)) * np.array((0.1, 0.5, 1, 2))[:, None]
-        self._bweight = np.full((impact.BINS, impact.NOISES), 2.0)
+        self._bnoise = np.tile(FIRST_BLOWS, (impact.BINS, 1)) * np.array((0.1, 0.5, 1, 2))[:, None]
+        self._bweight = np.full((impact.BINS, impact.NOISES), SEEN)
         self._cs = np.zeros(incident.STATE)
         self._cs[incident.LAST_MIS] = -1e9
         self._last_blow, self._speed = -1e9, np.zeros(2)
@@ -230,15 +232,15 @@ class Detector:
         return np.diag(np.square(sd))
 
     def _first_noise(self) -> tuple[Array, Array]:
-        """Noise before anything is learnt: wide; as if seen for two seconds."""
+        """Noise before anything is learnt: wide, and soon forgotten."""
         r = self._r
         span = np.array(r.LENGTHS) * r.STEP
         speed = np.array((0.0, 0.1, 0.4, 0.8))[:, None]
         track = self._meta.robot.track_width or 0.3
         noise = np.empty((3, r.BINS, r.WINDOWS))
         noise[r.TURN] = 4e-3**2 + (0.5 * self._numbers.slip / track) ** 2 * speed * span
-        noise[r.ALONG] = noise[r.SIDE] = 0.02**2 + (0.02**2 + (0.12 * speed) ** 2) * span
-        return noise, np.full(noise.shape, 2.0)
+        noise[r.ALONG] = noise[r.SIDE] = 0.02**2 + (0.02**2 + (0.3 * speed) ** 2) * span
+        return noise, np.full(noise.shape, SEEN)
 
 
 def detect(run: Run, numbers: Assumptions) -> Disturbances:
