@@ -40,13 +40,14 @@ class Truth:
 
 @dataclass(frozen=True)
 class Rig:
-    """One sensor on the rig. Beyond Table 1: flicker (Allan floor over 0.664), turn-on scatter (sd of the static bias
+    """One sensor on the rig. Beyond Table 1: flicker (Allan floor over 0.664; its
+    knee with the white noise lies near 100 s), turn-on scatter (sd of the static bias
     from run to run), quantum of the readings, share and size (in sd) of outliers; pairs are gyro, accelerometer."""
 
     gyro: Truth
     accel: Truth
     rate: float = 100.0
-    flicker: tuple[float, float] = (2.0 * DEG / 3600, 1e-4)
+    flicker: tuple[float, float] = (0.7 * DEG / 3600, 3e-4)
     turn_on: tuple[float, float] = (0.0, 0.0)
     quantum: tuple[float, float] = (DEG / 131 / 4, G / 16384)
     outliers: tuple[float, float] = (2e-4, 12.0)

@@ -13,13 +13,13 @@ import numpy.typing as npt
 
 from core.calibration.imu.algorithm1 import AXES
 from core.calibration.imu.columns import axis_data
-from core.calibration.imu.contradictions import contradictions
+from core.calibration.imu.contradictions import contradictions, dead_axes
 from core.calibration.imu.curves import CharacteristicLine, characteristic_lines
 from core.calibration.imu.fit import AxisFit, fit_triad
 from core.calibration.imu.model import ImuCalibration, SensorModel, SensorPair
 from core.calibration.imu.paper import PaperDrift, paper_drift
 from core.calibration.imu.reasons import null_reasons, turn_on_note
-from core.calibration.imu.stretches import LeftOut, Stretch, stretches
+from core.calibration.imu.stretches import LeftOut, Stretch, stretches, without
 from core.errors import MissingStreamError, NotEnoughDataError
 from core.run import Run
 
@@ -75,6 +75,9 @@ def calibrate(runs: Sequence[Run], progress: Progress | None = None) -> Calibrat
     if not found:
         reasons = [str(item) for item in left] + notes
         raise NotEnoughDataError("no segment can be used: " + "; ".join(reasons[:4]), method="calibrate")
+    dead = dead_axes(found)
+    notes += [f"{AXES[j]}: all readings are equal: the axis is dead, or its steps hide everything; null" for j in dead]
+    found = [without(s, dead) for s in found] if dead else found
     fits: dict[int, AxisFit] = {}
     kept: dict[str, list[Stretch]] = {}
     done = [0.1]
@@ -88,7 +91,8 @@ def calibrate(runs: Sequence[Run], progress: Progress | None = None) -> Calibrat
 
         fits |= fit_triad(kept[sensor], axes, advance)
     if not fits:
-        raise NotEnoughDataError("no segment can be used: " + "; ".join(str(o) for o in left[:4]), method="calibrate")
+        reasons = [str(item) for item in left] + notes
+        raise NotEnoughDataError("no segment can be used: " + "; ".join(reasons[:4]), method="calibrate")
     calibration = _calibration(fits, found)
     notes += null_reasons(calibration, fits, kept)
     turn_on, turn_on_sd = _turn_on(fits, kept, len(runs))
@@ -149,7 +153,7 @@ def _turn_on(fits: dict[int, AxisFit], kept: dict[str, list[Stretch]], runs: int
     for axis, made in fits.items():
         data = axis_data(kept["accel" if axis < 3 else "gyro"], axis)
         present = np.unique(data.run) if data is not None else np.zeros(0, np.int64)
-        if len(present) > 1:
+        if made.scatter:
             offsets[present, axis] = made.offsets
             sd[axis] = np.sqrt(made.levels.turn_on)
     return offsets, sd

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -55,12 +56,16 @@ def axis_data(found: Sequence[Stretch], axis: int) -> AxisData | None:
     if not parts:
         return None
     unknown = [k for k, s in enumerate(parts) if accel and s.force is None]
+    # Coarse steps may hide all noise of one stretch: the other stretches tell.
+    usual = float(np.median([s.noise[axis] for s in parts]))
+    quantum = float(np.max([s.quantum[axis] for s in parts]))
+    least = max(0.01 * usual, quantum**2 / 12, (1e-9 * max(float(np.abs(s.level[axis])) for s in parts)) ** 2, 1e-24)
     rows = []
     for k, s in enumerate(parts):
         n = len(s.lo)
         declared = s.force if accel else s.rate
         u = np.zeros(3) if declared is None else declared
-        noise = max(float(s.noise[axis]), float(s.quantum[axis]) ** 2 / 12, 1e-24)
+        noise = max(float(s.noise[axis]), least)
         rows.append(
             (
                 s.lo,
@@ -71,7 +76,7 @@ def axis_data(found: Sequence[Stretch], axis: int) -> AxisData | None:
                 np.full(n, s.run),
                 np.full(n, k),
                 np.full(n, np.linalg.norm(u)),
-                np.full(n, _hidden_by_quantum(noise, float(s.quantum[axis]))),
+                np.full(n, _hidden_by_quantum(noise, quantum)),
                 np.full(n, unknown.index(k) if k in unknown else -1),
             )
         )
@@ -166,6 +171,16 @@ class Problem:
         size = np.abs(np.diag(np.linalg.qr(out, mode="r")))
         information = 2 * np.log(np.maximum(size[:-1], 1e-12 * size[0])).sum() if restricted else 0.0
         return float(size[-1] ** 2 + logdet + information)
+
+    @cached_property
+    def scatters(self) -> tuple[bool, bool]:
+        """Whether constants of runs, and beyond them of segments with a declared size, can be told from the columns."""
+        run = (self.data.run[:, None] == np.unique(self.data.run)).astype(np.float64)
+        sized = np.unique(self.data.segment[self.data.size > 0])
+        segment = (self.data.segment[:, None] == sized).astype(np.float64)
+        stages = (self.basis, np.hstack([self.basis, run]), np.hstack([self.basis, run, segment]))
+        ranks = [int(np.linalg.matrix_rank(c / np.sqrt((c**2).sum(axis=0)), 1e-6)) for c in stages]
+        return ranks[1] > ranks[0], ranks[2] > ranks[1]
 
     @property
     def shown(self) -> Flags:

@@ -23,9 +23,10 @@ ACCEL_BIAS = 2.0  # m/s^2
 GRAVITY = 9.80665
 DEGREES = 180 / np.pi
 BELIEF = 0.03  # sd of a matrix element about the identity's
-FINE = 0.02  # of the declared size that a finer contradiction reaches at least
+FINE = 0.01  # of the declared size that a finer contradiction reaches at least
 GYRO_LEVEL, ACCEL_LEVEL = 0.006, 0.06  # rad/s, m/s^2: drift and noise of a segment's level
-MENDS = 30.0  # chi-square that dropping a segment must save
+MENDS = 16.0  # chi-square that dropping a segment must save
+STUCK = 0.02  # of the usual variance, below which a reading does not move
 WORDS = ("x", "y", "z")
 
 
@@ -39,9 +40,12 @@ def contradictions(found: Sequence[Stretch], sensor: str) -> tuple[list[Stretch]
     left: list[LeftOut] = []
     notes = _units(usable, gyro, axes)
     bias = _provisional_bias(usable, axes) if gyro else np.zeros(len(axes))
+    usual = np.median([s.noise for s in usable], axis=0)
+    coarse = np.max([s.quantum for s in usable], axis=0) > 2 * np.sqrt(usual)
     kept = []
     for s in usable:
-        reason = _gross(s, gyro, axes, bias)
+        stuck = [j for j in axes if s.noise[j] < STUCK * usual[j] and not coarse[j]]
+        reason = _stuck(s, stuck) if stuck else _gross(s, gyro, axes, bias)
         if reason:
             left.append(_out(s, sensor, reason))
         else:
@@ -54,9 +58,23 @@ def _out(s: Stretch, sensor: str, reason: str) -> LeftOut:
     return LeftOut(s.run, s.index, float(s.lo[0]), float(s.hi[-1]), reason, sensor)
 
 
+def _stuck(s: Stretch, stuck: list[int]) -> str:
+    values = ", ".join(f"{AXES[j]} at {s.level[j]:.4g}" for j in stuck)
+    return f"saturated or stuck: hardly any noise about {values}"
+
+
 def _present(found: Sequence[Stretch], gyro: bool) -> list[int]:
     offset = 3 if gyro else 0
     return [j for j in range(offset, offset + 3) if any(np.isfinite(s.mean[:, j]).all() for s in found)]
+
+
+def dead_axes(found: Sequence[Stretch]) -> list[int]:
+    """Axes (of AXES) whose readings never change."""
+    return [
+        j
+        for j in range(6)
+        if all(s.noise[j] == 0 for s in found) and np.ptp(np.concatenate([s.mean[:, j] for s in found])) == 0
+    ]
 
 
 def declared(s: Stretch, gyro: bool) -> Floats | None:
@@ -121,6 +139,8 @@ def _gross(s: Stretch, gyro: bool, axes: list[int], bias: Floats) -> str:
     along = float(m @ true) / (size * found) if size * found > 0 else 0.0
     if gyro and abs(found / size / DEGREES - 1) < GROSS:
         return f"degrees taken for radians: {told}"
+    if gyro and abs(found / size * DEGREES - 1) < GROSS:
+        return f"the declared rate looks like deg/s, wanted are rad/s: {told}"
     if found < GROSS * size + (0 if not gyro else 0.1 * allowance):
         return f"{'the table does not move' if gyro else 'no gravity is felt'}: {told}"
     if along < -0.8:

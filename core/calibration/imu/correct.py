@@ -23,8 +23,7 @@ from core.sensors import ImuLog
 Floats = npt.NDArray[np.float64]
 
 EDGE = 0.05  # of a stretch: its start, and its end as the asymptote
-LAST = 0.25  # of a stretch, whose scatter is the noise
-PIECE = 60.0  # s, about whose lines it is taken: slower wander is bias, no noise
+PIECE = 60.0  # s, about whose lines the noise scatters: slower wander is bias, no noise
 
 
 def correct(run: Run, calibration: ImuCalibration, online: bool = True, *, window: int = WINDOW) -> Run:
@@ -97,8 +96,8 @@ def _smoothed(column: Floats, window: int) -> Floats:
 @dataclass(frozen=True)
 class Judged:
     """One state of the signal, arrays (6,) by AXES in the axis' unit: mean error at the start, at the asymptote (the
-    last twentieth) and over all, NaN where the true value is not declared; sd of the noise (the last quarter's, about a
-    line through each minute)."""
+    last twentieth) and over all, NaN where the true value is not declared; sd of the noise, about a line through each
+    minute."""
 
     start: Floats
     asymptote: Floats
@@ -186,10 +185,9 @@ def _judged(t: Floats, values: Floats, true: Floats) -> Judged:
 
 
 def _noise(t: Floats, values: Floats) -> Floats:
-    """(6,) sd of the stretch's last quarter about a line through each minute."""
-    last = values[-max(8, round(LAST * len(t))) :]
-    size = max(8, min(len(last), round(PIECE * (len(t) - 1) / (t[-1] - t[0]))))
-    pieces = last[len(last) % size :].reshape(-1, size, values.shape[1])
+    """(6,) sd about a line through each minute."""
+    size = max(8, min(len(t), round(PIECE * (len(t) - 1) / (t[-1] - t[0]))))
+    pieces = values[len(t) % size :].reshape(-1, size, values.shape[1])
     place = np.linspace(-1, 1, size)[None, :, None]
     centred = pieces - pieces.mean(axis=1, keepdims=True)
     slope = (place * centred).sum(axis=1, keepdims=True) / (place**2).sum()

@@ -8,8 +8,8 @@ with u the declared rate or specific force. All but tau are linear. The noise n 
 of Gauss-Markov processes two octaves apart), a random walk, a constant per run (turn-on scatter) and one per segment
 (fixture and table, in proportion to u). A Kalman filter whitens y and the columns together, so least squares on what
 it leaves is maximum likelihood under coloured noise; levels of noise and tau are found by restricted maximum
-likelihood (Nelder-Mead on their logarithms). Deviations come from the whitened columns, and where tau is wide, from
-its likelihood over a grid (tau's logarithm evenly likely beforehand).
+likelihood (Nelder-Mead on their logarithms). Deviations come from the whitened columns, averaged over the likelihood
+of tau and of the flicker's level.
 """
 
 from __future__ import annotations
@@ -26,18 +26,21 @@ from core.calibration.imu.stretches import Stretch
 Floats = npt.NDArray[np.float64]
 
 SHOWN = 12.0  # chi-square that a drift must save to count as shown
-WIDEST = 1.0  # deviation of tau's logarithm, beyond which it is not shown
-GRID = 25
+WIDEST = 0.7  # deviation of tau's logarithm, beyond which it is not shown
+GRID = 19
+UNLIKELY = 14.0  # chi-square beyond the best, where a time is no longer looked at
 SURE = 10.0  # deviations, beyond which a drift needs no comparison with none
 FLOOR = -9.0  # logarithm of a level that does not show
 MATRIX_SD = 0.2  # beyond which an element is not shown
+LONG_ENOUGH = 1200.0  # s: a run in which a warm-up would have shown
 
 
 @dataclass(frozen=True)
 class AxisFit:
     """One axis: row (3,), static, amplitude, tau, each with its deviation, NaN where not shown; levels of the noise;
-    offsets (runs,) turn-on of each run against the mean, NaN for runs without; drift_gain, chi-square that the drift
-    saves; dof of what fixes turn_on and fixture. model (n,) fitted readings of the blocks."""
+    scatter, whether runs are enough to tell their turn-on, and offsets (runs with readings,), each run's against the
+    mean; drift_gain, chi-square that the drift saves; tau_best and tau_log_sd, the likeliest tau whether shown or not
+    and the deviation of its logarithm; model (n,) fitted readings of the blocks."""
 
     row: Floats
     row_sd: Floats
@@ -48,6 +51,7 @@ class AxisFit:
     tau: float
     tau_sd: float
     levels: Levels
+    scatter: bool
     offsets: Floats
     drift_gain: float
     tau_log_sd: float
@@ -61,10 +65,7 @@ def fit_axis(data: AxisData, pooled: Levels | None = None, before: AxisFit | Non
     here, where runs and segments are enough for it. `before` is a fit to start from."""
     problem = Problem(data)
     enough = len(data.value) >= 12 and problem.span > 6 * problem.shortest
-    with_turn_on = problem.runs > 1
-    rows = len(np.unique(data.segment[data.size > 0]))
-    with_fixture = rows > len(problem.used) + (with_turn_on * (problem.runs - 1))
-    free = (with_turn_on, with_fixture) if pooled is None else (False, False)
+    free = problem.scatters if pooled is None else (False, False)
     held = pooled or Levels(1.0, 0.0, 0.0)
     if not enough:
         levels, _ = _likeliest(problem, free, held, None, before)
@@ -152,14 +153,13 @@ def _described(problem: Problem, levels: Levels, tau: float | None, gain: float)
     amplitude = amplitude_sd = best = tau_sd = log_sd = np.nan
     notes: tuple[str, ...] = ()
     if tau is not None:
-        made = _over_tau(problem, levels, tau, beta)
+        made = _spread(problem, levels, tau, beta, shown=gain >= SHOWN)
         variance, log_sd = made.variance, made.log_sd
         if gain < SHOWN:
-            beta = np.append(made.mean[:-1], made.mean[-1])
-            amplitude, amplitude_sd = float(beta[-1]), float(np.sqrt(variance[-1]))
-            notes += (
-                f"no drift is shown (it would be {amplitude:.2g} ± {amplitude_sd:.1g}); its time is not identifiable",
-            )
+            beta = made.mean
+            if problem.span >= LONG_ENOUGH:
+                amplitude, amplitude_sd = float(beta[-1]), float(np.sqrt(variance[-1]))
+            notes += ("no drift is shown; its time is not identifiable",)
         elif log_sd > WIDEST:
             notes += ("the bias drifts, but the runs are too short for its time and asymptote: not identifiable",)
         else:
@@ -186,6 +186,7 @@ def _described(problem: Problem, levels: Levels, tau: float | None, gain: float)
         tau=best,
         tau_sd=tau_sd,
         levels=levels,
+        scatter=problem.scatters[0],
         offsets=offsets[:, 0] - offsets[:, 1:] @ beta,
         drift_gain=gain,
         tau_log_sd=log_sd,
@@ -196,31 +197,66 @@ def _described(problem: Problem, levels: Levels, tau: float | None, gain: float)
 
 
 @dataclass(frozen=True)
-class _OverTau:
+class _Spread:
+    """Mean and variance of the coefficients, and the deviation of tau's logarithm."""
+
     mean: Floats
     variance: Floats
     log_sd: float
 
 
-def _over_tau(problem: Problem, levels: Levels, tau: float, beta: Floats) -> _OverTau:
-    """Second moments about `beta` and log tau over the likelihood of tau, levels held."""
-    step = 1e-3
-    sides = [problem.solve(levels, tau * np.exp(s))[2] for s in (-50 * step, 0.0, 50 * step)]
-    bend = (sides[0] - 2 * sides[1] + sides[2]) / (50 * step) ** 2 / 2
-    width = 1 / np.sqrt(bend) if bend > 0 else np.inf
-    low, high = np.log(problem.shortest), np.log(problem.longest)
+def _spread(problem: Problem, levels: Levels, tau: float, beta: Floats, *, shown: bool) -> _Spread:
+    """Second moments about `beta` and log tau over the likelihood of tau and of the flicker's level.
+
+    A short record hardly shows its flicker, and what it does not show may still bend a drift: so levels are averaged
+    over, evenly likely by their logarithm, as are times. Where no drift is shown: about the mean, over times that the
+    runs are long enough to show.
+    """
+    weights, parts = [], []
+    for level, weight in _flicker_levels(problem, levels, tau):
+        logs = _likely_times(problem, level, tau, shown=shown)
+        solved = [problem.solve(level, float(t)) for t in np.exp(logs)]
+        squares = np.array([s[2] for s in solved])
+        within = np.exp(-(squares - squares.min()) / 2)
+        weights.append(weight * within / within.sum())
+        parts.append((logs, np.array([s[0] for s in solved]), np.array([np.diag(s[1]) for s in solved])))
+    likely = np.concatenate(weights)
+    logs, values, own = (np.concatenate([p[k] for p in parts]) for k in range(3))
     middle = float(np.log(tau))
-    logs = np.linspace(max(low, middle - 5 * width), min(high, middle + 5 * width), GRID)
-    solved = [problem.solve(levels, float(t)) for t in np.exp(logs)]
-    squares = np.array([s[2] for s in solved])
-    weight = np.exp(-(squares - squares.min()) / 2)
+    mean = likely @ values
+    wide = float(np.sqrt(likely @ (logs - likely @ logs) ** 2)) > WIDEST or not shown
+    about, centre = (mean, float(likely @ logs)) if wide else (beta, middle)
+    return _Spread(mean, likely @ (own + (values - about) ** 2), float(np.sqrt(likely @ (logs - centre) ** 2)))
+
+
+def _flicker_levels(problem: Problem, levels: Levels, tau: float) -> list[tuple[Levels, float]]:
+    """Levels of flicker that the data allow, each with its weight."""
+    start = np.log(max(levels.swing / problem.base, np.exp(FLOOR)))
+    logs = np.unique(np.append(np.arange(FLOOR, 6.1, 1.5), start))
+    trials = [replace(levels, swing=float(np.exp(q)) * problem.base) for q in logs]
+    costs = np.array([problem.cost(level, tau) for level in trials])
+    weight = np.exp(-(costs - costs.min()) / 2) * np.gradient(logs)
     weight /= weight.sum()
-    values = np.array([s[0] for s in solved])
-    own = np.array([np.diag(s[1]) for s in solved])
-    mean = weight @ values
-    about = mean if width > WIDEST else beta
-    centre = float(weight @ logs) if width > WIDEST else middle
-    return _OverTau(mean, weight @ (own + (values - about) ** 2), float(np.sqrt(weight @ (logs - centre) ** 2)))
+    return [(level, float(w)) for level, w in zip(trials, weight, strict=True) if w > 0.01]
+
+
+def _likely_times(problem: Problem, levels: Levels, tau: float, *, shown: bool) -> Floats:
+    """(GRID,) logarithms of tau as far as its likelihood reaches."""
+    low, high = np.log(problem.shortest), np.log(problem.longest)
+    if not shown:
+        return np.linspace(low, max(np.log(problem.span / 2), low + 1), GRID)
+    middle = float(np.log(tau))
+    least = problem.cost(levels, tau, restricted=False)
+    ends = []
+    for way, bound in ((-1, low), (1, high)):
+        # Outwards until nothing is likely: the tail of long times may be far longer than the other.
+        reach = 0.004
+        while reach < way * (bound - middle):
+            if problem.cost(levels, float(np.exp(middle + way * reach)), restricted=False) - least > UNLIKELY:
+                break
+            reach *= 1.6
+        ends.append(middle + way * min(reach, max(way * (bound - middle), 0.0)))
+    return np.linspace(ends[0], ends[1], GRID)
 
 
 def fit_triad(found: Sequence[Stretch], axes: Sequence[int], tell: Callable[[float], None]) -> dict[int, AxisFit]:
@@ -232,7 +268,7 @@ def fit_triad(found: Sequence[Stretch], axes: Sequence[int], tell: Callable[[flo
         tell(1 / (2 * len(data)))
     if not first:
         return {}
-    turn_on = float(np.mean([f.levels.turn_on for f in first.values()]))
+    turn_on = float(np.mean([f.levels.turn_on for f in first.values() if f.scatter] or [0.0]))
     fixture = float(np.mean([f.levels.fixture for f in first.values()]))
     if turn_on == 0 and fixture == 0:
         return first

@@ -30,11 +30,10 @@ def null_reasons(
         model = getattr(calibration, sensor)
         absent = [AXES[first + k] for k in range(3) if first + k not in fits]
         if len(absent) == 3:
-            what = "no readings" if not kept[sensor] else "no segment that shows its errors"
-            notes.append(f"{sensor}: null, the runs hold {what} of it")
+            notes.append(f"{sensor}: null, the runs hold no readings of it in a segment that can be used")
             continue
         if absent:
-            notes.append(f"{', '.join(absent)}: null, the runs hold no such axis")
+            notes.append(f"{', '.join(absent)}: null, the runs hold no readings of it that can be used")
         have = np.array([first + k in fits for k in range(3)])
         names = np.array(AXES[first : first + 3])
         lost = np.isnan(model.matrix) & have[:, None]
@@ -62,7 +61,10 @@ def turn_on_note(turn_on_sd: Floats, calibration: ImuCalibration, kept: Mapping[
         if not kept[sensor]:
             continue
         if np.isnan(sd).all():
-            notes.append(f"{sensor}: one run shows no turn-on scatter; biases and their deviations hold for that run")
+            notes.append(
+                f"{sensor}: the runs do not show the scatter from one switching on to the next; biases and their "
+                "deviations hold for these runs"
+            )
         elif np.nanmax(sd) > 3 * np.nanmax(np.append(getattr(calibration.sd, sensor).static_bias, 0.0)):
             unit = "rad/s" if sensor == "gyro" else "m/s²"
             notes.append(f"{sensor}: the static bias scatters by {np.nanmax(sd):.2g} {unit} from run to run")

@@ -8,7 +8,7 @@ segment's middle; a margin follows what was cut off at an end.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -117,6 +117,13 @@ def stretches(runs: Sequence[Run]) -> tuple[list[Stretch], list[LeftOut], list[s
     return found, left, notes
 
 
+def without(s: Stretch, axes: Sequence[int]) -> Stretch:
+    """The stretch with some axes (of AXES) made absent."""
+    mean = s.mean.copy()
+    mean[:, list(axes)] = np.nan
+    return replace(s, mean=mean)
+
+
 def _segments(run: Run, imu: ImuLog) -> tuple[tuple[Segment, ...], str, list[str]]:
     """Declared segments and the kind of run; a run that declares nothing is tried as one at rest."""
     whole = Segment(float(imu.t[0]), float(imu.t[-1]), None, (0.0, 0.0, 0.0))
@@ -190,7 +197,7 @@ def _stretch(r: int, k: int, kind: str, segment: Segment, t: Floats, values: Flo
         mean=np.add.reduceat(mean[good], first, axis=0) / share_of[:, None],
         noise=kept.mean(axis=0),
         noise_sd=kept.std(axis=0) / np.sqrt(len(kept)),
-        quantum=_quantum(cut),
+        quantum=_quantum(cut[good]),
         limit=_at_limit(cut[good]),
     )
 
