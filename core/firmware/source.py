@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import resources
 
 from core.calibration.imu import ImuCalibration
 from core.errors import ParameterError
+from core.firmware import best
 from core.firmware.constants import Constant, Noise, algorithm1, check_rate, common, method_c, white
-from core.imu.bias import SegmentConfig
+from core.imu.bias import FilterConfig, SegmentConfig
 
 WIDTH = 118
 
@@ -25,10 +26,11 @@ class Firmware:
 
 @dataclass(frozen=True)
 class Tracker:
-    """A bias tracker in C: its two files in `c/`, and its part of the header (constants, notes) for a calibration."""
+    """A bias tracker in C: its files, by the name of what stands for them in `c/`, and its part of the header
+    (constants, notes) for a calibration."""
 
     label: str
-    stem: str
+    files: Mapping[str, str]
     constants: Callable[[ImuCalibration, float, Noise], tuple[list[Constant], tuple[str, ...]]]
 
 
@@ -39,8 +41,25 @@ def _c(calibration: ImuCalibration, rate_hz: float, noise: Noise) -> tuple[list[
     return method_c(sigma, origin, rate_hz, SegmentConfig()), notes
 
 
+def _best(calibration: ImuCalibration, rate_hz: float, noise: Noise) -> tuple[list[Constant], tuple[str, ...]]:
+    return best.constants(rate_hz, noise.drift, FilterConfig()), ()
+
+
 TRACKERS: dict[str, Tracker] = {
-    "C": Tracker("method C of Cechowicz 2017: range test and band", "bias_c", _c),
+    "best": Tracker(
+        "our causal filter of heading and bias",
+        {
+            "ds_bias.h": "best.h",
+            "ds_bias.c": "best.c",
+            "ds_filter.c": "best_filter.c",
+            "ds_judge.c": "best_judge.c",
+            "ds_learn.c": "best_learn.c",
+        },
+        _best,
+    ),
+    "C": Tracker(
+        "method C of Cechowicz 2017: range test and band", {"ds_bias.h": "bias_c.h", "ds_bias.c": "bias_c.c"}, _c
+    ),
 }
 
 FIXED = ("driftscope.h", "driftscope.c", "ds_sum.h", "ds_track.h", "replay.c", "README.md")
@@ -73,7 +92,7 @@ def firmware(
     tracked, notes = tracker.constants(calibration, rate_hz, noise or Noise())
     notes = made.notes + notes
     files = {name: _text(name) for name in FIXED}
-    files["ds_bias.h"], files["ds_bias.c"] = _text(f"{tracker.stem}.h"), _text(f"{tracker.stem}.c")
+    files |= {name: _text(stored) for name, stored in tracker.files.items()}
     files["ds_constants.h"] = header(common() + own + tracked, tracker.label, rate_hz, notes)
     return Firmware(dict(sorted(files.items())), notes)
 

@@ -3,6 +3,7 @@
 
 #include <math.h>
 #include <stddef.h>
+#include <string.h>
 
 static void begin_segment(ds_bias *state)
 {
@@ -14,8 +15,7 @@ static void begin_segment(ds_bias *state)
 
 void ds_bias_init(ds_bias *state)
 {
-    const ds_bias none = {.known = false};
-    *state = none;
+    (void)memset(state, 0, sizeof *state);
     /* Half a step early, as in Python: whatever the clock's jitter, each segment gets the same number of readings. */
     state->clock_us = DS_C_HALF_STEP_US;
     state->bias_sd = DS_UNKNOWN;

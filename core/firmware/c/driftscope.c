@@ -3,6 +3,7 @@
 
 #include <math.h>
 #include <stddef.h>
+#include <string.h>
 
 static const float static_bias[DS_AXES] = DS_STATIC_BIAS;
 static const float drift_amplitude[DS_AXES] = DS_DRIFT_AMPLITUDE;
@@ -58,11 +59,11 @@ static float average_value(const ds_average *average)
     return (average->filled > 0U) ? (average->total / (float)average->filled) : 0.0f;
 }
 
-/* Algorithm 1 for one sample: the corrected output, and the corrected rates of this instant in `now`. */
-static void correct(ds_state *state, const ds_input *in, float dt, float now[3])
+/* Algorithm 1 for one sample: the corrected output, and without average in `now`. */
+static void correct(ds_state *state, const ds_input *in, float dt, float now[DS_AXES])
 {
     float mean[DS_AXES];
-    float instant[3];
+    float instant[DS_AXES];
     for (size_t j = 0U; j < DS_AXES; j++) {
         const float reading = (j < 3U) ? in->accel[j] : in->gyro[j - 3U];
         const float bias = bias_now(&state->markov[j], j, dt);
@@ -71,28 +72,27 @@ static void correct(ds_state *state, const ds_input *in, float dt, float now[3])
             average_add(&state->average[j], reading - bias);
         }
         mean[j] = average_value(&state->average[j]);
-        if (j >= 3U) {
-            instant[j - 3U] = good ? (reading - bias) : mean[j];
-        }
+        instant[j] = good ? (reading - bias) : mean[j];
     }
     multiply(accel_inverse, &mean[0], state->last.accel); /* line 8 */
     multiply(gyro_inverse, &mean[3], state->last.gyro);
-    multiply(gyro_inverse, instant, now);
+    multiply(accel_inverse, &instant[0], &now[0]);
+    multiply(gyro_inverse, &instant[3], &now[3]);
 }
 
-static void track(ds_state *state, const ds_input *in, const float now[3])
+static void track(ds_state *state, const ds_input *in, const float now[DS_AXES])
 {
     const ds_bias_input sample = {
         .step_us = state->waited_us,
-        .rate = now[2],
-        .others = {now[0], now[1], in->accel[0], in->accel[1], in->accel[2]},
+        .rate = now[5],
+        .others = {now[3], now[4], now[0], now[1], now[2]},
         .temperature = in->temperature,
         .moving = in->moving,
     };
     ds_bias_view view;
     ds_bias_step(&state->bias, &sample, &view);
     state->waited_us = 0U;
-    state->last.rate = now[2] - view.bias;
+    state->last.rate = now[5] - view.bias;
     state->last.heading = view.heading;
     state->last.heading_sd = view.heading_sd;
     state->last.bias = view.bias;
@@ -102,8 +102,7 @@ static void track(ds_state *state, const ds_input *in, const float now[3])
 
 void ds_init(ds_state *state, float uptime_s)
 {
-    const ds_state none = {.started = false};
-    *state = none;
+    (void)memset(state, 0, sizeof *state);
     for (size_t j = 0U; j < DS_AXES; j++) {
         state->markov[j] = ds_sum_of(expf(-uptime_s * drift_rate[j]));
     }
@@ -119,7 +118,7 @@ ds_status ds_step(ds_state *state, const ds_input *in, ds_output *out)
     if (state->started && ((step_us == 0U) || (step_us >= HALF_RANGE))) {
         status = DS_BAD_TIME;
     } else {
-        float now[3];
+        float now[DS_AXES];
         correct(state, in, ds_seconds(step_us), now);
         if (state->waited_us < HALF_RANGE) { /* a longer wait without a rate is one of that length: no overflow */
             state->waited_us += step_us;

@@ -8,7 +8,7 @@
 typedef struct {
     uint32_t step_us;  /* since the sample before; 0 for the first */
     float rate;        /* rad/s about z, corrected, not averaged */
-    float others[5];   /* the other axes: rates about x and y [rad/s], specific force [m/s^2]; NAN where there is none */
+    float others[5];   /* the other axes: rates about x and y [rad/s], specific force [m/s^2] */
     float temperature; /* deg C, DS_NO_TEMPERATURE where there is none */
     bool moving;       /* wheels turn, or are told to */
 } ds_bias_input;

@@ -1,6 +1,6 @@
 /* Driftscope firmware: a log through the firmware on a PC, to see what the controller would have made of it.
  *
- *   cc -std=c99 -O2 driftscope.c ds_bias.c replay.c -lm -o replay && ./replay < log.csv > out.csv
+ *   cc -std=c99 -O2 driftscope.c ds_*.c replay.c -lm -o replay && ./replay < log.csv > out.csv
  *
  * In:  t_us,ax,ay,az,gx,gy,gz[,temperature[,moving]]   a line per sample, SI, after a line of names.
  * Out: t_us,ax,ay,az,gx,gy,gz,rate,heading,heading_sd,bias,bias_sd,at_rest

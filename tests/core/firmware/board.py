@@ -14,7 +14,6 @@ WARNINGS = ("all", "extra", "conversion", "double-promotion", "shadow", "cast-qu
 WARNINGS += ("missing-prototypes", "switch-default", "error")
 STRICT = ["-std=c99", "-O2", "-pedantic", *(f"-W{name}" for name in WARNINGS)]
 M7 = ["-mcpu=cortex-m7", "-mfpu=fpv5-sp-d16", "-mfloat-abi=hard", "-mthumb"]
-SOURCES = ("driftscope.c", "ds_bias.c")
 OUT = ("ax", "ay", "az", "gx", "gy", "gz", "rate", "heading", "heading_sd", "bias", "bias_sd")
 
 
@@ -40,13 +39,18 @@ def build(folder: Path, board: str, uptime: float = 0.0) -> Path:
     the log. A warning is an error."""
     made = folder / f"harness-{board}"
     common = [*STRICT, f"-I{folder}", f"-I{HERE / board}", f"-DUPTIME_S={uptime}f", str(HERE / "harness.c")]
-    common += [str(folder / name) for name in SOURCES]
+    common += [str(path) for path in sources(folder)]
     if board == "host":
         _call(["gcc", *common, "-lm", "-o", str(made)])
     else:
         link = ["-nostartfiles", f"-Wl,-T,{HERE / 'm7' / 'board.ld'}", "--specs=nano.specs", "-lm", "-lc", "-lgcc"]
         _call(["arm-none-eabi-gcc", *M7, *common, str(HERE / "m7" / "startup.c"), *link, "-o", str(made)])
     return made
+
+
+def sources(folder: Path) -> list[Path]:
+    """The firmware's own C files."""
+    return [folder / "driftscope.c", *sorted(folder.glob("ds_*.c"))]
 
 
 def records(t: npt.ArrayLike, readings: npt.ArrayLike, temperature: object = None, moving: object = None) -> bytes:
@@ -96,9 +100,9 @@ def size(folder: Path) -> tuple[int, int]:
     flash = ram = 0
     probe = folder / "state.c"
     probe.write_text('#include "driftscope.h"\nextern ds_state state;\nds_state state;\n', encoding="utf-8")
-    for name in (*SOURCES, "state.c"):
-        made = folder / (name + ".o")
-        _call(["arm-none-eabi-gcc", *M7, *STRICT, "-fno-common", "-c", str(folder / name), "-o", str(made)])
+    for path in [*sources(folder), probe]:
+        made = path.with_suffix(".o")
+        _call(["arm-none-eabi-gcc", *M7, *STRICT, "-fno-common", "-c", str(path), "-o", str(made)])
         text, data, bss = _call(["arm-none-eabi-size", str(made)]).splitlines()[1].split()[:3]
         flash += int(text) + int(data)
         ram += int(data) + int(bss)

@@ -9,10 +9,10 @@ import numpy.typing as npt
 
 from core.calibration.imu import ImuCalibration, constants
 from core.calibration.imu.algorithm1 import online
-from core.imu.bias import BiasEstimate, track_bias
+from core.imu.bias import BiasEstimate, FilterConfig, track_bias
 from core.imu.bias.result import ACCEPTED
 from core.run import Run, RunMeta
-from core.sensors import ImuLog
+from core.sensors import CommandLog, ImuLog
 
 Floats = npt.NDArray[np.float64]
 
@@ -87,12 +87,18 @@ def offline(calibration: ImuCalibration, t: Floats, readings: Floats) -> Floats:
     return out
 
 
-def run_of(t: Floats, rate: Floats, temperature: Floats | None = None) -> Run:
-    return Run(RunMeta(name="log"), imu=ImuLog(t, rate, temperature=temperature))
-
-
-def bias_by(method: str, t: Floats, rate: Floats) -> BiasEstimate:
-    return track_bias(run_of(t, rate), method)
+def bias_by(
+    method: str,
+    t: Floats,
+    axes: Floats,
+    temperature: Floats | None = None,
+    commands: CommandLog | None = None,
+    config: FilterConfig | None = None,
+) -> BiasEstimate:
+    """What Python finds on corrected axes (n, 6)."""
+    ax, ay, az, gx, gy, gz = axes.T
+    imu = ImuLog(t, gz, ax=ax, ay=ay, az=az, gx=gx, gy=gy, temperature=temperature)
+    return track_bias(Run(RunMeta(name="log"), imu=imu, commands=commands), method, config)
 
 
 def live_heading(found: BiasEstimate, t: Floats, rate: Floats) -> tuple[Floats, Floats]:

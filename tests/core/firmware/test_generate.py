@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from board import STRICT, build, records, run, write
+from board import STRICT, build, records, run, sources, write
 from logs import driving_log, random_calibration
 
 from core.calibration.imu import ImuCalibration
@@ -126,8 +126,8 @@ def test_replay_on_a_pc_gives_the_same(tmp_path: Path) -> None:
     calibration = random_calibration(rng)
     t, readings = driving_log(rng, calibration, 30.0, 100.0)
     folder = write(generate(calibration, bias="C"), tmp_path)
-    sources = [str(folder / name) for name in ("driftscope.c", "ds_bias.c", "replay.c")]
-    subprocess.run(["gcc", *STRICT, *sources, "-lm", "-o", str(folder / "replay")], check=True)
+    files = [str(path) for path in [*sources(folder), folder / "replay.c"]]
+    subprocess.run(["gcc", *STRICT, *files, "-lm", "-o", str(folder / "replay")], check=True)
     rows = [f"{round(s * 1e6)}," + ",".join(f"{v:.9g}" for v in row) for s, row in zip(t, readings, strict=True)]
     text = "t_us,ax,ay,az,gx,gy,gz\n" + "\n".join(rows) + "\n"
     done = subprocess.run([str(folder / "replay")], input=text, capture_output=True, text=True, check=True)

@@ -1,0 +1,216 @@
+/* Driftscope firmware: the Kalman filter over one block by its label. See ds_bias.h. */
+#include <math.h>
+#include <stddef.h>
+
+#include "ds_bias.h"
+
+#define N (DS_STATES + 1U)
+
+typedef struct {
+    float mean;  /* rad/s, of what is left of the movement */
+    float fresh; /* its variance that comes new */
+    float keep;  /* and the share of the old that stays */
+} remainder_of;
+
+static remainder_of left_over(const ds_bias *s, uint32_t since)
+{
+    remainder_of left = {0.0f, 0.0f, DS_TAIL_KEEP};
+    if (since < DS_TABLE) {
+        const float now = s->tail_variance[since];
+        left.mean = s->tail_mean[since];
+        if (since == 0U) {
+            left.fresh = now;
+            left.keep = 0.0f;
+        } else {
+            const float past = s->tail_variance[since - 1U];
+            left.fresh = now * DS_TAIL_FRESH;
+            left.keep = (past > 0.0f) ? (DS_TAIL_KEEP * sqrtf(now / past)) : 0.0f;
+        }
+    }
+    return left;
+}
+
+/* p = f p f^T, with f that of the block; moving, the heading loses the bias, resting, it gains what is left. */
+static void predict_covariance(float p[N][N], bool rests, float kelvin, float keep)
+{
+    float f[N][N] = {{0.0f}};
+    float work[N][N];
+    f[0][0] = 1.0f;
+    f[1][1] = 1.0f;
+    f[2][2] = DS_MARKOV_KEEP;
+    f[3][3] = 1.0f;
+    if (rests) {
+        f[0][4] = 0.5f * DS_BLOCK_S * (1.0f + keep);
+        f[4][4] = keep;
+    } else {
+        f[0][1] = -DS_BLOCK_S;
+        f[0][2] = -DS_BLOCK_S;
+        f[0][3] = -DS_BLOCK_S * kelvin;
+    }
+    for (size_t i = 0U; i < N; i++) {
+        for (size_t j = 0U; j < N; j++) {
+            work[i][j] = 0.0f;
+            for (size_t k = 0U; k < N; k++) {
+                work[i][j] += f[i][k] * p[k][j];
+            }
+        }
+    }
+    for (size_t i = 0U; i < N; i++) {
+        for (size_t j = i; j < N; j++) {
+            float sum = 0.0f;
+            for (size_t k = 0U; k < N; k++) {
+                sum += work[i][k] * f[j][k];
+            }
+            p[i][j] = sum;
+            p[j][i] = sum;
+        }
+    }
+}
+
+/* Joseph's form, (1 - g h) p (1 - g h)^T + g r g^T: a first rest shrinks the bias' variance by nine digits, more than
+ * float32 has for a difference. */
+static void update_covariance(float p[N][N], const float gain[N], const float h[N], float noise)
+{
+    float work[N][N];
+    for (size_t i = 0U; i < N; i++) {
+        for (size_t j = 0U; j < N; j++) {
+            work[i][j] = 0.0f;
+            for (size_t k = 0U; k < N; k++) {
+                const float a = ((i == k) ? 1.0f : 0.0f) - (gain[i] * h[k]);
+                work[i][j] += a * p[k][j];
+            }
+        }
+    }
+    for (size_t i = 0U; i < N; i++) {
+        for (size_t j = i; j < N; j++) {
+            float sum = gain[i] * noise * gain[j];
+            for (size_t k = 0U; k < N; k++) {
+                const float a = ((j == k) ? 1.0f : 0.0f) - (gain[j] * h[k]);
+                sum += work[i][k] * a;
+            }
+            p[i][j] = sum;
+            p[j][i] = sum;
+        }
+    }
+}
+
+static void update(ds_filter *filter, const ds_block *b, float tail, float noise)
+{
+    const float h[N] = {0.0f, 1.0f, 1.0f, b->kelvin, 1.0f};
+    float gain[N];
+    float total = noise;
+    float expected = tail;
+    for (size_t i = 0U; i < N; i++) {
+        gain[i] = 0.0f;
+        for (size_t j = 1U; j < N; j++) {
+            gain[i] += filter->p[i][j] * h[j];
+        }
+        total += h[i] * gain[i];
+    }
+    for (size_t i = 0U; i < DS_STATES; i++) {
+        expected += h[i + 1U] * filter->x[i];
+    }
+    const float residual = b->mean - expected;
+    for (size_t i = 0U; i < N; i++) {
+        gain[i] /= total;
+    }
+    filter->heading = ds_sum_add(filter->heading, gain[0] * residual);
+    for (size_t i = 0U; i < DS_STATES; i++) {
+        filter->x[i] += gain[i + 1U] * residual;
+    }
+    update_covariance(filter->p, gain, h, noise);
+}
+
+static void forget_bias(ds_filter *filter)
+{
+    for (size_t i = 0U; i < N; i++) {
+        filter->p[1][i] = 0.0f;
+        filter->p[i][1] = 0.0f;
+    }
+    filter->p[1][1] = DS_FIRST_VARIANCE;
+}
+
+static float bias_of(const ds_filter *filter, float kelvin)
+{
+    return filter->x[0] + filter->x[1] + (filter->x[2] * kelvin);
+}
+
+static float bias_variance_of(const ds_filter *filter, float kelvin)
+{
+    const float h[N] = {0.0f, 1.0f, 1.0f, kelvin, 0.0f};
+    float sum = 0.0f;
+    for (size_t i = 1U; i < N; i++) {
+        for (size_t j = 1U; j < N; j++) {
+            sum += h[i] * filter->p[i][j] * h[j];
+        }
+    }
+    return sum;
+}
+
+/* The block's count since the rest began and the sign of the movement, from the block before. */
+static void follow_marks(ds_bias *s, uint32_t k)
+{
+    ds_slot *const slot = ds_slot_of(s, k);
+    slot->mark.since = 0U;
+    slot->mark.sign = 0.0f;
+    if (k > 0U) {
+        const ds_mark *const last = &ds_slot_of(s, k - 1U)->mark;
+        slot->mark.sign = last->sign;
+        if (slot->mark.rests && last->rests) {
+            slot->mark.since = last->since + 1U;
+        }
+    }
+    if (!slot->mark.rests) {
+        const float off = slot->block.raw - bias_of(&s->filter, slot->block.kelvin);
+        if ((off * off) > (9.0f * s->level.noise)) {
+            slot->mark.sign = (off > 0.0f) ? 1.0f : -1.0f;
+        }
+    }
+}
+
+void ds_advance(ds_bias *s, uint32_t k)
+{
+    ds_slot *const slot = ds_slot_of(s, k);
+    const ds_block *const b = &slot->block;
+    ds_filter *const filter = &s->filter;
+    const float white = s->level.white * DS_BLOCK_S;
+    remainder_of left = {0.0f, 0.0f, 0.0f};
+    slot->before = *filter;
+    if (slot->mark.anew) {
+        forget_bias(filter);
+    }
+    follow_marks(s, k);
+    if (slot->mark.rests) {
+        if (slot->mark.since == 0U) {
+            filter->p[0][0] += DS_STOP * DS_STOP * white;
+            if ((k > 0U) && (ds_slot_of(s, k - 1U)->block.count < 2.0f)) { /* the movement ended unheard */
+                filter->heading = ds_sum_add(filter->heading, b->angle - (DS_BLOCK_S * b->raw));
+                filter->p[0][0] += b->lost;
+            }
+        }
+        left = left_over(s, slot->mark.since);
+        left.mean *= slot->mark.sign;
+        filter->heading = ds_sum_add(filter->heading, (0.5f * DS_BLOCK_S * (1.0f + left.keep)) * filter->x[3]);
+        filter->heading = ds_sum_add(filter->heading, DS_BLOCK_S * left.mean);
+        filter->x[3] *= left.keep;
+    } else {
+        filter->heading = ds_sum_add(filter->heading, b->angle);
+        filter->heading = ds_sum_add(filter->heading, -(DS_BLOCK_S * bias_of(filter, b->kelvin)));
+        filter->x[3] = 0.0f;
+    }
+    filter->x[1] *= DS_MARKOV_KEEP;
+    predict_covariance(filter->p, slot->mark.rests, b->kelvin, left.keep);
+    filter->p[1][1] += s->level.walk * DS_BLOCK_S;
+    filter->p[2][2] += s->level.swing * DS_MARKOV_FRESH;
+    if (slot->mark.rests) {
+        filter->p[4][4] += left.fresh;
+        if (b->count >= 2.0f) {
+            update(filter, b, left.mean, ds_noise_of(&s->level, b->count));
+        }
+    } else {
+        filter->p[0][0] += (white * DS_BLOCK_S) + b->lost;
+    }
+    filter->heading = ds_angle_wrap(filter->heading);
+    slot->bias = bias_of(filter, b->kelvin);
+    slot->bias_variance = bias_variance_of(filter, b->kelvin);
+}
