@@ -89,10 +89,15 @@ def tolerance(effect: str, name: str, reach: Reach) -> float | None:
         return None
     if not parameter.small_of_reach:
         return parameter.small
-    return parameter.small * {"speed_limit": reach.speed, "accel_limit": reach.acceleration, "gyro_clip": reach.turn}[effect]
+    return (
+        parameter.small
+        * {"speed_limit": reach.speed, "accel_limit": reach.acceleration, "gyro_clip": reach.turn}[effect]
+    )
 
 
-def candidates(channels: Sequence[str], beacons: Sequence[str], reach: Reach, known: EffectSet, warm: bool) -> list[Candidate]:
+def candidates(
+    channels: Sequence[str], beacons: Sequence[str], reach: Reach, known: EffectSet, warm: bool
+) -> list[Candidate]:
     """All that these channels could show, but for `SEARCHED` and what only adds noise. known: already modelled."""
     out: list[Candidate] = []
     for effect in EFFECTS.values():

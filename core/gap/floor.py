@@ -6,7 +6,8 @@ effect does, for that varies slowly against the sampling. Medians keep edges and
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,7 +81,7 @@ def third_differences(world: World, name: str, residual: Array) -> Array:
     return far[same]
 
 
-def measure(worlds: list[World], residuals: list[Mapping[str, Array]], speeds: list[Array | None]) -> Floor:
+def measure(worlds: list[World], residuals: Sequence[Mapping[str, Array]], speeds: Sequence[Array | None]) -> Floor:
     """The floor that all runs share. residuals: per run and channel; speeds: forward speed at the IMU's stamps."""
     sheet = stated(worlds[0].run)
     sigma: dict[str, float] = {}
@@ -108,10 +109,13 @@ def measure(worlds: list[World], residuals: list[Mapping[str, Array]], speeds: l
 
 
 def _vibration(
-    worlds: list[World], residuals: list[Mapping[str, Array]], speeds: list[Array | None], sigma: dict[str, float]
+    worlds: list[World],
+    residuals: Sequence[Mapping[str, Array]],
+    speeds: Sequence[Array | None],
+    sigma: dict[str, float],
 ) -> tuple[dict[str, float], float]:
     """Accelerometer noise that grows with speed: median squares of differences in classes of speed, a line through."""
-    squares, still, speed = [], [], []
+    squares, speed = [], []
     for name in ("imu.ax", "imu.ay"):
         far, v = [], []
         for world, residual, fast in zip(worlds, residuals, speeds, strict=True):
@@ -122,19 +126,18 @@ def _vibration(
             return sigma, 0.0
         squares.append(np.concatenate(far))
         speed.append(np.concatenate(v))
-        still.append(name)
     top = max(float(v.max(initial=0.0)) for v in speed)
     if top < 0.05:
         return sigma, 0.0
     edges = np.linspace(0.0, top, 9)
     design, target, weight = [], [], []
-    for axis, (far, v) in enumerate(zip(squares, speed, strict=True)):
-        for a, b in zip(edges[:-1], edges[1:], strict=True):
-            inside = (v >= a) & (v <= b)
+    for axis, (square, rates) in enumerate(zip(squares, speed, strict=True)):
+        for a, b in itertools.pairwise(edges):
+            inside = (rates >= a) & (rates <= b)
             n = int(inside.sum())
             if n >= FEW:
-                level = (float(np.median(np.abs(far[inside]))) / NORMAL_MEDIAN) ** 2
-                row = [0.0, 0.0, float(np.mean(v[inside] ** 2))]
+                level = (float(np.median(np.abs(square[inside]))) / NORMAL_MEDIAN) ** 2
+                row = [0.0, 0.0, float(np.mean(rates[inside] ** 2))]
                 row[axis] = 1.0
                 design.append(row)
                 target.append(level)

@@ -54,23 +54,27 @@ def _smoothed(run: Run, window: float) -> Array:
     order = np.argsort(np.concatenate((t, marks)), kind="stable")
     stamps = np.concatenate((t, marks))[order]
     none = np.full(len(marks), np.nan)
-    kinds = np.concatenate((kinds, np.full(len(marks), -1)))[order].astype(np.int64)
+    kinds = np.concatenate((kinds, np.full(len(marks), -1.0)))[order]
     values, variance = np.concatenate((values, none))[order], np.concatenate((variance, none))[order]
     anchors = np.concatenate((anchors, np.zeros((len(marks), 3))))[order]
     start, sd = _start(run)
     par_tag = np.array([run.meta.robot.tag.x, run.meta.robot.tag.y, run.meta.robot.tag.z])
     poses, _ = smooth_poses(
-        _increments(run, stamps), kinds, values, variance, par_tag, anchors, start, sd, WALK, GATE
+        _increments(run, stamps), kinds.astype(np.int64), values, variance, par_tag, anchors, start, sd, WALK, GATE
     )
-    chosen = kinds == -1
+    chosen = kinds < 0
     return np.column_stack((stamps[chosen], poses[chosen]))
 
 
 def _events(run: Run) -> tuple[Array, Array, Array, Array, Array]:
     """Kinds, stamps, values, variances and beacons' places of all readings of pose, sorted."""
-    parts: list[tuple[Array, ...]] = []
+    parts: list[tuple[npt.NDArray[np.floating], ...]] = []
     noise = run.meta.noise
-    for column, kind, sd in (("x", 0, noise.beacon_xy or 0.05), ("y", 1, noise.beacon_xy or 0.05), ("theta", 2, noise.beacon_theta or 0.05)):
+    for column, kind, sd in (
+        ("x", 0, noise.beacon_xy or 0.05),
+        ("y", 1, noise.beacon_xy or 0.05),
+        ("theta", 2, noise.beacon_theta or 0.05),
+    ):
         values = getattr(run.beacon, column) if run.beacon is not None else None
         if run.beacon is not None and values is not None:
             n = len(run.beacon)
@@ -96,7 +100,9 @@ def _start(run: Run) -> tuple[Array, Array]:
     beacon = run.beacon
     if beacon is not None and len(beacon):
         theta = float(beacon.theta[0]) if beacon.theta is not None else 0.0
-        return np.array([beacon.x[0], beacon.y[0], theta]), np.array([0.3, 0.3, 0.3 if beacon.theta is not None else 2.0])
+        return np.array([beacon.x[0], beacon.y[0], theta]), np.array(
+            [0.3, 0.3, 0.3 if beacon.theta is not None else 2.0]
+        )
     return np.zeros(3), np.array([5.0, 5.0, 2.0])
 
 

@@ -6,7 +6,7 @@ fixes, ranges): innovations of one filter over all of them, in which the pose ma
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy.typing as npt
 from core.gap._pose_numba import whiten_poses
 from core.gap.floor import Floor, wrap
 from core.gap.reference import WINDOW
-from core.gap.world import IMU, POSES, WHEELS, World
+from core.gap.world import POSES, WHEELS, World
 from core.simulation._batch_numba import Outputs
 
 Array = npt.NDArray[np.float64]
@@ -24,6 +24,8 @@ Indices = npt.NDArray[np.int64]
 START_SD = np.array([0.005, 0.005, 0.005])
 FREE_SD = np.array([1e3, 1e3, 10.0])
 """How well the start pose is known, where run.json gives one; where it does not [m, m, rad]."""
+TIMING = 5e-4
+"""Instants are known to half the tolerance of the IMU's clock [s]: edges of jumps count for no more than that."""
 OUTLIER = 5.0
 """A fix or range off by more than this many sigma is left out of the pose's filter."""
 
@@ -70,11 +72,17 @@ def white_wheels(world: World, name: str, values: Array, floor: Floor) -> Array:
     return (values - np.repeat(mean, count, axis=1)) / floor.sigma[name]
 
 
-def white_imu(world: World, name: str, values: Array, floor: Floor, speed: Array) -> Array:
-    """(M, N) residual and columns of one IMU axis; speed (N,): forward speed at its stamps [m/s]."""
-    if name == "imu.gz" or floor.vibration == 0.0:
-        return values / floor.sigma[name]
-    return values / np.sqrt(floor.sigma[name] ** 2 + (floor.vibration * speed[world.keep(name)]) ** 2)
+def imu_sigma(world: World, name: str, body: Outputs, floor: Floor) -> Array:
+    """(N,) noise of one IMU axis: white, vibration, and what an error of TIMING does where the signal jumps."""
+    predicted = world.channel(body, name)[0]
+    step = np.maximum(np.diff(world.times[name]), 1e-6)
+    jump = np.abs(np.diff(predicted)) / step
+    slope = np.maximum(np.append(jump, 0.0), np.append(0.0, jump))
+    variance = floor.sigma[name] ** 2 + (TIMING * slope) ** 2
+    if name != "imu.gz" and floor.vibration:
+        variance = variance + (floor.vibration * body.speed[0, world.keep(name)]) ** 2
+    sigma: Array = np.sqrt(variance)
+    return sigma
 
 
 def events_of(world: World, body: Outputs, floor: Floor, residuals: Mapping[str, Array]) -> Events | None:
@@ -141,7 +149,9 @@ def jumps_of(world: World, body: Outputs) -> Array:
     return far
 
 
-def white_poses(events: Events, values: Mapping[str, Array], jumps: Array, walk: float) -> tuple[dict[str, Array], float]:
+def white_poses(
+    events: Events, values: Mapping[str, Array], jumps: Array, walk: float
+) -> tuple[dict[str, Array], float]:
     """values: (M, N) residual and columns per channel; jumps (M, K, 3). (White values, sum of log variances)."""
     sides = len(jumps)
     stacked = np.concatenate(
@@ -168,7 +178,7 @@ def white_poses(events: Events, values: Mapping[str, Array], jumps: Array, walk:
 WALKS = (1e-5, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
 
 
-def best_walk(events: list[tuple[Events, Mapping[str, Array], Array]]) -> float:
+def best_walk(events: Sequence[tuple[Events, Mapping[str, Array], Array]]) -> float:
     """The walk that makes the residuals of all runs likeliest: (events, residuals (N,) per channel, jumps (K, 3))."""
     costs = []
     for walk in WALKS:
@@ -179,6 +189,3 @@ def best_walk(events: list[tuple[Events, Mapping[str, Array], Array]]) -> float:
             cost += logs + sum(float(np.sum(np.minimum(value**2, 25.0))) for value in white.values())
         costs.append(cost)
     return WALKS[int(np.argmin(costs))]
-
-
-__all__ = ["IMU", "Events", "best_walk", "events_of", "jumps_of", "residuals_of", "white_imu", "white_poses", "white_wheels"]

@@ -141,7 +141,7 @@ class World:
 
 
 def make_world(run: Run, restarts: Array) -> World:
-    """A run ready for prediction. restarts (K, 4): t, x, y, theta, increasing t. Raises as `core.simulation.prepare`."""
+    """A run ready for prediction. restarts (K, 4): t, x, y, theta, t increasing. Raises as `core.simulation.inputs`."""
     readings = {name: _column(run, name) for name in CHANNELS if _has(run, name)}
     known = {name: np.isfinite(values) for name, values in readings.items()}
     times = {name: getattr(run, name.split(".")[0]).t[known[name]] for name in readings}

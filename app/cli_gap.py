@@ -1,0 +1,61 @@
+"""The command of the gap: `driftscope diagnose`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+
+def add_commands(commands: Any, run_help: str) -> None:
+    """The command and its options."""
+    diagnose = commands.add_parser("diagnose", help="the sim-to-real gap: where, which effect, how far it shrinks")
+    diagnose.add_argument("sources", nargs="+", metavar="RUN", help=run_help)
+    diagnose.add_argument("--held-out", nargs="+", default=[], metavar="RUN", help="runs that only judge the result")
+    diagnose.add_argument("--json", metavar="FILE", help="the diagnosis as JSON (- for standard output)")
+    diagnose.add_argument("--data", type=Path, help="data folder of stored runs (default data)")
+    diagnose.set_defaults(run=_diagnose)
+
+
+def _diagnose(options: argparse.Namespace) -> int:
+    from app.cli import OK, _progress, run_of, write_json
+    from core.gap import as_json, diagnose
+
+    progress = _progress("diagnose")
+    runs = [run_of(source, options.data) for source in options.sources]
+    held_out = [run_of(source, options.data) for source in options.held_out]
+    found = as_json(diagnose(runs, held_out=held_out, progress=progress))
+    progress(1.0, "done")
+    if options.json:
+        write_json(options.json, found)
+    if options.json != "-":
+        sys.stdout.write(told(found))
+    return OK
+
+
+def told(found: dict[str, Any]) -> str:
+    """The diagnosis in a few lines."""
+    gap = found["gap"]
+    lines = [f"verdict: {found['verdict'].replace('_', ' ')}"]
+    for cause in found["causes"]:
+        sizes = ", ".join(f"{name} {_size(value)}" for name, value in cause["parameters"].items())
+        lines.append(f"  {cause['probability']:5.2f}  {cause['effect']}  {sizes}  share {cause['share']:.2f}")
+    spots = found["where"][:5]
+    lines += [f"where: {spot['stream']}, {spot['regime']}: {spot['share']:.0%} of the gap" for spot in spots]
+    basis = "held out" if gap["held_out"] else "same runs"
+    shrink = "" if gap["shrink"] is None else f", shrinks by {gap['shrink']:.0%}"
+    lines.append(f"gap ({basis}): {gap['before']:.2f} -> {gap['after']:.2f}, floor {gap['floor']:.2f}{shrink}")
+    if found["unexplained"]:
+        lines.append(f"unexplained: {found['unexplained']['description']}")
+    if found["next_experiment"]:
+        lines.append(f"drive next: {found['next_experiment']['profile']}: {found['next_experiment']['reason']}")
+    lines += [f"note: {note}" for note in found["notes"]]
+    return "\n".join(lines) + "\n"
+
+
+def _size(value: dict[str, Any]) -> str:
+    if isinstance(value["value"], str):
+        return value["value"]
+    sd = "" if value["std"] is None else f" ± {value['std']:.2g}"
+    return f"{value['value']:.6g}{sd}"

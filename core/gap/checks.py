@@ -1,0 +1,119 @@
+"""What a diagnosis refuses, in words that say what would do instead."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from core.errors import MissingStreamError, NotEnoughDataError, ParameterError
+from core.robot import EffectSet
+from core.run import Run
+
+SHORTEST = 4.0
+"""Seconds of data below which nothing can be said."""
+LEAST_WAY = 0.1
+"""Least driving [m, or rad of turning] of all runs together."""
+
+
+def check_runs(runs: Sequence[Run], held_out: Sequence[Run]) -> None:
+    """Raises ParameterError, MissingStreamError or NotEnoughDataError."""
+    if not runs:
+        raise NotEnoughDataError("a diagnosis needs at least one run")
+    for run in (*runs, *held_out):
+        _drivable(run)
+    first = runs[0].meta
+    for k, run in enumerate((*runs[1:], *held_out), start=2):
+        if run.meta.robot != first.robot:
+            raise ParameterError(
+                f"run {k} ({run.meta.name}) is of another robot than run 1: its robot in run.json differs",
+                parameter="runs",
+                expected=str(first.robot),
+                found=str(run.meta.robot),
+            )
+        if run.meta.effects != first.effects:
+            raise ParameterError(
+                f"run {k} ({run.meta.name}) names another simulator than run 1: simulator.effects differ",
+                parameter="runs",
+            )
+    for k, run in enumerate(held_out):
+        if any(_same(run, other) for other in runs):
+            raise ParameterError(
+                f"held-out run {k + 1} ({run.meta.name}) was also given to fit; give a run that was not",
+                parameter="held_out",
+            )
+    _moving(runs)
+
+
+def _drivable(run: Run) -> None:
+    if run.commands is None and run.wheels is None:
+        raise MissingStreamError(
+            f"{run.meta.name or 'the run'} has neither commands nor wheels: nothing to drive the simulator by",
+            method="diagnose",
+            missing=["commands", "wheels"],
+        )
+    missing = [name for name in ("wheel_radius", "track_width") if getattr(run.meta.robot, name) is None]
+    if missing:
+        raise MissingStreamError(
+            f"the simulator needs the robot's {' and '.join(missing)}; add it to run.json",
+            method="diagnose",
+            missing=[f"robot.{name}" for name in missing],
+        )
+    others = [run.wheels if run.commands is not None else None, run.imu, run.beacon, run.ranges, run.truth]
+    if not any(log is not None and len(log) > 3 for log in others):
+        raise MissingStreamError(
+            f"{run.meta.name or 'the run'} has no stream to compare with the simulator",
+            method="diagnose",
+            missing=["wheels", "imu", "beacon", "ranges", "truth"],
+        )
+    logs = {name: log for name, log in run.logs().items() if len(log)}
+    spans = {name: (float(log.t[0]), float(log.t[-1])) for name, log in logs.items()}
+    lead = spans.get("commands") or spans.get("wheels")
+    for name, (a, b) in spans.items():
+        if lead is not None and (a > lead[1] or b < lead[0]):
+            raise ParameterError(
+                f"{name} of {run.meta.name or 'the run'} lies at {a:.1f} to {b:.1f} s, the drive at {lead[0]:.1f} to "
+                f"{lead[1]:.1f} s: their clocks do not match",
+                parameter=f"{name}.t",
+            )
+
+
+def _moving(runs: Sequence[Run]) -> None:
+    seconds = sum(run.duration for run in runs)
+    if seconds < SHORTEST:
+        raise NotEnoughDataError(
+            f"{seconds:.1f} s of data are too few; {SHORTEST:.0f} s are the least, a minute of turns and stops is good",
+            needed_s=SHORTEST,
+            found_s=seconds,
+        )
+    way = 0.0
+    for run in runs:
+        radius = run.meta.robot.wheel_radius or 0.0
+        if run.wheels is not None and len(run.wheels) > 1:
+            way += float(np.nansum(np.abs(np.diff(run.wheels.left)) + np.abs(np.diff(run.wheels.right)))) * radius
+        if run.commands is not None and len(run.commands) > 1:
+            size = np.abs(run.commands.v[:-1]) + 0.1 * np.abs(run.commands.w[:-1])
+            way += float(np.nansum(size * np.diff(run.commands.t)))
+    if way < LEAST_WAY:
+        raise NotEnoughDataError(
+            "the robot hardly moves in these runs; a minute with turns both ways, stops and two speeds would do"
+        )
+
+
+def _same(a: Run, b: Run) -> bool:
+    ours, theirs = a.logs(), b.logs()
+    if ours.keys() != theirs.keys():
+        return False
+    return all(
+        len(log) == len(theirs[name])
+        and all(
+            np.array_equal(v, theirs[name].columns()[k], equal_nan=v.dtype.kind == "f")
+            for k, v in log.columns().items()
+        )
+        for name, log in ours.items()
+    )
+
+
+def simulator_of(runs: Sequence[Run], simulator: EffectSet | None) -> EffectSet:
+    """What the simulator already models: as given, else as the runs say."""
+    return runs[0].meta.effects if simulator is None else simulator

@@ -1,0 +1,118 @@
+"""Size and probability of what was fitted: materiality by tolerances, odds against each rival, honest deviations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from core.effects import EFFECTS
+from core.gap.candidates import Reach, tolerance
+from core.gap.fit import Fit
+from core.gap.selection import Found
+from core.gap.types import Config, Value
+from core.robot import EffectSet
+
+Array = npt.NDArray[np.float64]
+
+TEMPER = 0.002
+"""Rivals within this share of an effect's own drop are not told apart: no model is exact to more than that."""
+SURE = 0.985
+"""No probability is higher: the world may hold what no candidate is."""
+LEAST = {
+    "command_delay.delay": 4e-4, "motor_lag.tau": 4e-4, "imu_clock.offset": 5e-5, "beacon_delay.delay": 5e-4,
+    "deadband.width": 1e-4, "slip_patch.x": 1e-3, "slip_patch.y": 1e-3, "slip_patch.radius": 1e-3,
+    "slip_patch.slip": 1e-4, "bump.time": 1e-3,
+}  # fmt: skip
+"""Added in squares to these deviations: instants agree to half a control step, edges to a sample's way."""
+
+
+def deviations(fit: Fit) -> dict[tuple[str, str], float]:
+    """Standard deviation of each parameter: the larger of the model's own and one from the scatter between blocks."""
+    _, _, a = fit.normal.total
+    if not len(a):
+        return {}
+    size = np.sqrt(np.maximum(np.diag(a), 1e-30))
+    inverse = np.linalg.pinv(a / np.outer(size, size), rcond=1e-12) / np.outer(size, size)
+    scores = fit.normal.g.sum(axis=0)
+    scores = scores - scores.mean(axis=0)
+    sandwich = inverse @ (scores.T @ scores) @ inverse
+    model, blocks = np.sqrt(np.diag(inverse)), np.sqrt(np.maximum(np.diag(sandwich), 0.0))
+    few = len(scores) < 12
+    out = {}
+    for i, key in enumerate(fit.parameters):
+        sd = float(model[i] if few else max(model[i], min(blocks[i], 10.0 * model[i])))
+        out[key] = float(np.hypot(sd, LEAST.get(".".join(key), 0.0)))
+    return out
+
+
+def values_of(fit: Fit, effect: str) -> dict[str, Value]:
+    """An effect's parameters with their deviations."""
+    sd = deviations(fit)
+    out = {}
+    for name, value in fit.model[effect].items():
+        out[name] = Value(value if isinstance(value, str) else float(value), sd.get((effect, name)))
+    return out
+
+
+def is_material(effect: str, values: Mapping[str, float | str], known: EffectSet, reach: Reach, config: Config) -> bool:
+    """Whether an effect is larger than its tolerance, against what the simulator already models."""
+    definition = EFFECTS[effect]
+    base = {**definition.neutral, **known.get(effect, {})}
+    ratios = []
+    for parameter in definition.parameters:
+        small = config.tolerances.get(f"{effect}.{parameter.name}", tolerance(effect, parameter.name, reach))
+        if small is None or parameter.text:
+            continue
+        value, neutral = float(values[parameter.name]), float(base[parameter.name])
+        if np.isinf(neutral):
+            top = {"speed_limit": reach.speed, "accel_limit": reach.acceleration, "gyro_clip": reach.turn}[effect]
+            ratios.append(max(top - value, 0.0) / small)
+        else:
+            ratios.append((value - neutral) / small)
+    if {p.name for p in definition.parameters} >= {"x", "y"} and effect not in (
+        "slip_patch",
+        "beacon_shadow",
+        "accel_scale",
+    ):
+        return float(np.linalg.norm(ratios)) > 1.0
+    return max(abs(r) for r in ratios) > 1.0
+
+
+def odds(found: Found) -> dict[str, dict[str, float]]:
+    """Per effect of the model, each rival's weight against it: exp(-difference of costs / 2), tempered."""
+    out: dict[str, dict[str, float]] = {}
+    for step in found.steps:
+        if not step.action.startswith("add "):
+            continue
+        name = step.action[4:]
+        gains = dict(step.gains)
+        own = gains.get(name, 0.0)
+        heat = 2.0 * (1.0 + TEMPER * own)
+        out[name] = {
+            rival: float(np.exp(-min(max(own - gain, 0.0) / heat, 50.0)))
+            for rival, gain in gains.items()
+            if rival != name and rival not in found.fit.model
+        }
+    return out
+
+
+def probabilities(found: Sequence[Found], material: Sequence[str], doubt: Mapping[str, float]) -> dict[str, float]:
+    """Of every effect in question: an effect shares its probability with its rivals and with "unknown".
+
+    doubt: probability per effect that what it explains is no listed effect's.
+    """
+    out: dict[str, float] = {}
+    for one in found:
+        for name, rivals in odds(one).items():
+            if name not in material:
+                continue
+            whole = 1.0 + sum(rivals.values())
+            rest = SURE * (1.0 - doubt.get(name, 0.0))
+            out[name] = max(out.get(name, 0.0), rest / whole)
+            for rival, weight in rivals.items():
+                out[rival] = max(out.get(rival, 0.0), rest * weight / whole)
+    for name in material:
+        out.setdefault(name, SURE * (1.0 - doubt.get(name, 0.0)))
+    return out

@@ -1,0 +1,319 @@
+"""The runs as one least-squares problem, linear about a model: white residuals, columns, normal equations by block.
+
+Normal equations are kept per channel and per block of time: channels tell which stream an effect explains, blocks
+give variances that hold for coloured residuals too, and held-out scores without another simulation.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from core.effects import EFFECTS
+from core.gap.candidates import STEPS, Candidate, bounds, free_of
+from core.gap.floor import Floor, measure
+from core.gap.whiten import (
+    Events,
+    best_walk,
+    events_of,
+    imu_sigma,
+    jumps_of,
+    residuals_of,
+    white_poses,
+    white_wheels,
+)
+from core.gap.world import IMU, POSES, WHEELS, World, drive_effects, without_drive
+from core.robot import EffectSet
+from core.simulation._batch_numba import Outputs
+
+Array = npt.NDArray[np.float64]
+Model = dict[str, dict[str, float | str]]
+
+BLOCK = 10.0
+"""Length of a block of time [s]."""
+HUBER = 5.0
+"""A residual beyond so many sigma counts linearly: edges and outliers must not outweigh everything else."""
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Normal equations over columns `keys` (P): per channel (C) and per block (B); residual r, columns E, all white.
+
+    n: readings; c: Huber's loss of r (r.r where all are small); g: E.r; a: E.E, both with Huber's weights.
+    secant (P,): by how much the loss drops if a secant's whole column is taken, 0 for derivatives. blocks (B, 2): run
+    and first second.
+    """
+
+    keys: tuple[str, ...]
+    channels: tuple[str, ...]
+    blocks: Array
+    n: Array
+    c: Array
+    g: Array
+    a: Array
+    logs: float
+    secant: Array
+
+    @property
+    def total(self) -> tuple[float, Array, Array]:
+        """r.r, E.r (P,), E.E (P, P) over everything."""
+        return float(self.c.sum()), self.g.sum(axis=(0, 1)), self.a.sum(axis=(0, 1))
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column: its key, the effects that make it, and the step that it is divided by."""
+
+    key: str
+    effects: Model
+    step: float
+    streams: frozenset[str]
+
+
+@dataclass(frozen=True)
+class White:
+    """White residual (N,) and columns (M, N) of one channel of one run; `index` (M,) says which columns they are."""
+
+    t: Array
+    residual: Array
+    columns: Array
+    index: npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """All runs that are fitted together, and the noise floor that they share. held: effects taken as given."""
+
+    worlds: tuple[World, ...]
+    floor: Floor
+    known: EffectSet
+    held: EffectSet = dataclasses.field(default_factory=dict)
+
+    @property
+    def leads(self) -> bool:
+        """Whether recorded wheels stand between commands and body."""
+        return self.worlds[0].wheels_lead
+
+    def overlay(self, model: EffectSet, scope: str) -> Model:
+        """The part of a model that acts in a scope: "wheels", "body" (the drive then is as recorded) or both in one."""
+        if scope == "body" and self.leads:
+            return {name: dict(values) for name, values in without_drive({**self.held, **model}).items()}
+        if scope == "wheels":
+            kept = {**drive_effects(model), **{k: v for k, v in model.items() if k == "missed_ticks"}}
+            return {name: dict(values) for name, values in kept.items()}
+        return {name: dict(values) for name, values in model.items()}
+
+
+def with_floor(problem: Problem, model: EffectSet) -> Problem:
+    """The same with the floor measured on the residuals of a model, and the walk that suits it."""
+    residuals: list[Mapping[str, Array]] = []
+    speeds, parts = [], []
+    for world in problem.worlds:
+        body = world.body([problem.overlay(model, "body")])
+        wheels = world.wheels([problem.overlay(model, "wheels")]) if world.wheel_inputs is not None else {}
+        residuals.append(residuals_of(world, wheels, body))
+        speeds.append(body.speed[0] if len(body.speed[0]) else None)
+        parts.append((world, body))
+    floor = measure(list(problem.worlds), residuals, speeds)
+    events: list[tuple[Events, Mapping[str, Array], Array]] = []
+    for (world, body), residual in zip(parts, residuals, strict=True):
+        found = events_of(world, body, floor, residual)
+        if found is not None:
+            events.append((found, residual, jumps_of(world, body)))
+    walk = best_walk(events) if events else floor.walk
+    return dataclasses.replace(problem, floor=dataclasses.replace(floor, walk=walk))
+
+
+def columns_of(model: EffectSet, tried: Sequence[Candidate], spread: float = 1.0) -> list[Column]:
+    """Columns of a model's own parameters, then of the candidates. spread: widens the steps of local parameters."""
+    out: list[Column] = []
+    for effect, values in model.items():
+        out += [_derivative(model, effect, dict(values), name, spread) for name in free_of(effect, values)]
+    for one in tried:
+        if one.secant:
+            effects = {**_copy(model), one.effect: dict(one.start)}
+            out.append(Column(f"{one.effect}*{one.start}", effects, 1.0, frozenset(EFFECTS[one.effect].streams)))
+        else:
+            out += [_derivative(model, one.effect, dict(one.start), name) for name in one.free]
+    return out
+
+
+def _derivative(
+    model: EffectSet, effect: str, values: dict[str, float | str], name: str, spread: float = 1.0
+) -> Column:
+    _low, high = bounds(effect, name)
+    step, value = STEPS[f"{effect}.{name}"], float(values[name])
+    if f"{effect}.{name}" in LOCAL:
+        step *= spread
+    if value + step > high:
+        step = -step
+    label = f"{effect}.{name}" + (
+        f"@{_place(values)}" if effect in ("gyro_drift", "anchor_moved") and effect not in model else ""
+    )
+    moved = {**values, name: value + step}
+    return Column(label, {**_copy(model), effect: moved}, step, frozenset(EFFECTS[effect].streams))
+
+
+def _place(values: Mapping[str, float | str]) -> str:
+    return f"{values['beacon']}" if "beacon" in values else f"{values['tau']}"
+
+
+def _copy(model: EffectSet) -> Model:
+    return {name: dict(values) for name, values in model.items()}
+
+
+def whitened(
+    problem: Problem, model: EffectSet, columns: Sequence[Column], scope: str
+) -> tuple[list[dict[str, White]], float]:
+    """Per run and channel the white residual of a model with its columns; and the sum of log variances."""
+    out, logs = [], 0.0
+    for world in problem.worlds:
+        white: dict[str, White] = {}
+        if scope in ("wheels", "all") and world.wheel_inputs is not None:
+            white |= _white_wheels(problem, world, model, columns)
+        if scope in ("body", "all"):
+            found, more = _white_body(problem, world, model, columns)
+            white |= found
+            logs += more
+        out.append(white)
+    return out, logs
+
+
+def _white_wheels(problem: Problem, world: World, model: EffectSet, columns: Sequence[Column]) -> dict[str, White]:
+    index = [i for i, one in enumerate(columns) if one.streams & set(WHEELS)]
+    sets = [problem.overlay(model, "wheels"), *(problem.overlay(columns[i].effects, "wheels") for i in index)]
+    predicted = world.wheels(sets)
+    steps = np.array([columns[i].step for i in index])[:, None]
+    out = {}
+    for name in WHEELS:
+        rows = predicted[name][:, world.keep(name)]
+        values = np.vstack((world.readings[name] - rows[:1], (rows[1:] - rows[:1]) / steps))
+        white = white_wheels(world, name, values, problem.floor)
+        out[name] = White(world.times[name], white[0], white[1:], np.array(index, dtype=np.int64))
+    return out
+
+
+def _white_body(
+    problem: Problem, world: World, model: EffectSet, columns: Sequence[Column]
+) -> tuple[dict[str, White], float]:
+    names = [name for name in world.channels if name not in WHEELS]
+    acting = [
+        i
+        for i, one in enumerate(columns)
+        if (one.streams & set(names) and not (problem.leads and _is_drive(one, model)))
+        or (problem.leads and one.key.startswith("missed_ticks"))
+    ]
+    base = world.body([problem.overlay(model, "body")])
+    residuals = residuals_of(world, {name: np.zeros((1, len(_full(world, name)))) for name in WHEELS}, base)
+    events = events_of(world, base, problem.floor, residuals)
+    jumps = jumps_of(world, base)
+    parts: dict[str, list[Array]] = {name: [residuals[name][None, :]] for name in names}
+    index: dict[str, list[int]] = {name: [] for name in names}
+    jump_rows = [jumps[None]]
+    posed: list[int] = []
+    for batch in world.batches(len(acting)):
+        chosen = [acting[k] for k in batch]
+        out = world.body([problem.overlay(columns[i].effects, "body") for i in chosen])
+        for row, i in enumerate(chosen):
+            one = columns[i]
+            streams = (
+                one.streams if not one.key.startswith("missed_ticks") else frozenset(EFFECTS["wheel_radius"].streams)
+            )
+            for name in names:
+                if name in IMU and name in streams:
+                    far = world.channel(_row(out, row), name)[0] - world.channel(base, name)[0]
+                    parts[name].append(far[None, :] / one.step)
+                    index[name].append(i)
+            if streams & set(POSES) and events is not None:
+                posed.append(i)
+                for name in events.names:
+                    far = world.channel(_row(out, row), name)[0] - world.channel(base, name)[0]
+                    parts[name].append(np.nan_to_num(far)[None, :] / one.step)
+                moved = jumps_of(world, _row(out, row)) - jumps
+                jump_rows.append(-moved[None] / one.step)
+    white = {}
+    logs = 0.0
+    for name in names:
+        if name in IMU:
+            rows = np.concatenate(parts[name]) / imu_sigma(world, name, base, problem.floor)
+            white[name] = White(world.times[name], rows[0], rows[1:], np.array(index[name], dtype=np.int64))
+    if events is not None:
+        stacked = {name: np.concatenate(parts[name]) for name in events.names}
+        rows_of, logs = white_poses(events, stacked, np.concatenate(jump_rows), problem.floor.walk)
+        for name in events.names:
+            rows = rows_of[name]
+            white[name] = White(world.times[name], rows[0], rows[1:], np.array(posed, dtype=np.int64))
+    return white, logs
+
+
+def _is_drive(one: Column, model: EffectSet) -> bool:
+    return EFFECTS[one.key.split(".")[0].split("*")[0]].family == "drive"
+
+
+def _row(out: Outputs, row: int) -> Outputs:
+    return Outputs(*(column[row : row + 1] for column in out))
+
+
+def _full(world: World, name: str) -> Array:
+    log = world.run.wheels
+    return np.asarray(log.t) if log is not None else np.empty(0)
+
+
+def loss(residual: Array) -> Array:
+    """Huber's loss of white residuals, on the scale of squares."""
+    size = np.abs(residual)
+    out: Array = np.where(size > HUBER, 2.0 * HUBER * size - HUBER**2, size * size)
+    return out
+
+
+def normal_equations(white: Sequence[Mapping[str, White]], keys: Sequence[str], logs: float = 0.0) -> Normal:
+    """Sums over readings, by channel and block."""
+    names = tuple(name for name in (*WHEELS, *IMU, *POSES) if any(name in one for one in white))
+    blocks = [
+        (k, b * BLOCK)
+        for k, one in enumerate(white)
+        for b in range(int(max((w.t[-1] for w in one.values()), default=0.0) // BLOCK) + 1)
+    ]
+    place = {block: i for i, block in enumerate(blocks)}
+    p, shape = len(keys), (len(names), len(blocks))
+    n, c, g, a = np.zeros(shape), np.zeros(shape), np.zeros((*shape, p)), np.zeros((*shape, p, p))
+    secant = np.zeros(p)
+    whole = np.array(["*" in key for key in keys], dtype=bool)
+    for k, one in enumerate(white):
+        for i, name in enumerate(names):
+            if name not in one or not len(one[name].t):
+                continue
+            w = one[name]
+            for row in np.flatnonzero(whole[w.index]) if len(w.index) else ():
+                secant[w.index[row]] += float(np.sum(loss(w.residual)) - np.sum(loss(w.residual - w.columns[row])))
+            number = np.floor(np.maximum(w.t, 0.0) / BLOCK)
+            cuts = np.append(np.flatnonzero(np.diff(number, prepend=-1.0)), len(w.t))
+            for first, last in itertools.pairwise(cuts):
+                j = place[(k, number[first] * BLOCK)]
+                r, e = w.residual[first:last], w.columns[:, first:last]
+                size = np.maximum(np.abs(r), HUBER)
+                n[i, j], c[i, j] = last - first, float(np.sum(loss(r)))
+                if len(w.index):
+                    weighted = e * (HUBER / size)
+                    g[i, j, w.index] = weighted @ r
+                    a[i, j][np.ix_(w.index, w.index)] = weighted @ e.T
+    return Normal(tuple(keys), names, np.array(blocks, dtype=float).reshape(-1, 2), n, c, g, a, logs, secant)
+
+
+LOCAL = frozenset(("slip_patch.x", "slip_patch.y", "slip_patch.radius", "bump.time", "deadband.width"))
+"""Parameters that move an edge: a small step sees only the readings at the edge, a wide one the way to go."""
+
+
+def linearise(
+    problem: Problem, model: EffectSet, tried: Sequence[Candidate], scope: str, spread: float = 1.0, own: bool = True
+) -> Normal:
+    """Normal equations about a model: its own parameters first (if `own`), then the candidates' columns."""
+    inside = {name: values for name, values in problem.overlay(model, scope).items() if name not in problem.held}
+    columns = columns_of(inside, tried, spread) if own or tried else []
+    white, logs = whitened(problem, inside, columns, scope)
+    return normal_equations(white, [one.key for one in columns], logs)

@@ -1,0 +1,187 @@
+"""Where a local effect would lie: starts for a slippery patch (a disc) and a bump (an instant), from the residuals.
+
+Both are linear in their size once place or instant are given, so every disc of a grid, and every instant, is scored by
+the drop of the cost that it would bring; the best few become candidates that are refitted exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import fftconvolve
+
+from core.gap.candidates import Candidate
+from core.gap.linear import Problem
+from core.gap.whiten import imu_sigma
+from core.gap.world import World
+from core.robot import EffectSet
+from core.simulation._batch_numba import Outputs
+
+Array = npt.NDArray[np.float64]
+
+CELLS = 60
+"""Cells along the longer side of the map."""
+RADII = (0.2, 0.3, 0.45, 0.6, 0.8, 1.0, 1.25, 1.5, 2.0)
+"""Discs tried [m]."""
+STRIDE = 0.2
+"""Displacements of truth are taken over this long [s]."""
+SPAN = 0.3
+"""A bump's length [s]."""
+PATCHES, BUMPS = 3, 2
+"""So many starts of each are handed on."""
+SLIPS = (-0.9, 0.95)
+
+
+def placed(problem: Problem, model: EffectSet) -> list[Candidate]:
+    """Starts of slip patches and bumps about a model."""
+    scope = problem.overlay(model, "body")
+    bodies = [world.body([scope]) for world in problem.worlds]
+    out: list[Candidate] = []
+    if "slip_patch" not in model:
+        out += _patches(problem, bodies)
+    if "bump" not in model:
+        out += _bumps(problem, bodies)
+    return out
+
+
+def _patches(problem: Problem, bodies: list[Outputs]) -> list[Candidate]:
+    points = [_slip_scores(problem, w, b) for w, b in zip(problem.worlds, bodies, strict=True)]
+    xy, score, info = (np.concatenate(part) for part in zip(*points, strict=True))
+    if len(xy) < 10:
+        return []
+    low, high = xy.min(axis=0), xy.max(axis=0)
+    cell = max(float((high - low).max()) / CELLS, 0.02)
+    shape = tuple(np.ceil((high - low) / cell).astype(int) + 1)
+    index = tuple(((xy - low) / cell).round().astype(int).T)
+    b, a = np.zeros(shape), np.zeros(shape)
+    np.add.at(b, index, score)
+    np.add.at(a, index, info)
+    found: list[tuple[float, Candidate]] = []
+    for radius in RADII:
+        reach = int(np.ceil(radius / cell))
+        if reach > max(shape):
+            continue
+        axis = np.arange(-reach, reach + 1) * cell
+        disc = (axis[:, None] ** 2 + axis[None, :] ** 2 <= radius**2).astype(float)
+        inside_b, inside_a = fftconvolve(b, disc, mode="same"), fftconvolve(a, disc, mode="same")
+        slip = np.clip(inside_b / np.maximum(inside_a, 1.0), *SLIPS)
+        gain = 2.0 * slip * inside_b - slip**2 * inside_a
+        at = np.unravel_index(int(np.argmax(gain)), shape)
+        place = low + cell * np.array(at)
+        start = {"x": float(place[0]), "y": float(place[1]), "radius": radius, "slip": float(slip[at])}
+        found.append((float(gain[at]), Candidate("slip_patch", start, ("x", "y", "radius", "slip"), secant=True)))
+    found.sort(key=lambda pair: -pair[0])
+    return [one for gain, one in found[:PATCHES] if gain > 0.0]
+
+
+def _slip_scores(problem: Problem, world: World, body: Outputs) -> tuple[Array, Array, Array]:
+    """(N, 2) places, and score and information of a slip there: from the turn rate and from truth's displacements."""
+    stamps, path = world.stamps, np.column_stack((body.x[0], body.y[0]))
+    xy, score, info = [np.empty((0, 2))], [np.empty(0)], [np.empty(0)]
+    if "imu.gz" in world.readings and len(stamps):
+        t = world.times["imu.gz"]
+        predicted = world.channel(body, "imu.gz")[0]
+        sigma = imu_sigma(world, "imu.gz", body, problem.floor)
+        far = world.readings["imu.gz"] - predicted
+        xy.append(np.column_stack((np.interp(t, stamps, path[:, 0]), np.interp(t, stamps, path[:, 1]))))
+        score.append(-predicted * far / sigma**2)
+        info.append((predicted / sigma) ** 2)
+    if all(name in world.readings for name in ("truth.x", "truth.y", "truth.theta")):
+        t, rows = world.times["truth.x"], world.at["truth.x"]
+        step = max(round(STRIDE * len(t) / max(t[-1] - t[0], 1e-9)), 1)
+        chosen = rows[::step]
+        moved = np.diff(path[chosen], axis=0)
+        seen = np.diff(np.column_stack((world.readings["truth.x"], world.readings["truth.y"]))[::step], axis=0)
+        length = np.hypot(*moved.T)
+        restarted = np.searchsorted(world.restarts[:, 0], t[::step][1:], "right") != np.searchsorted(
+            world.restarts[:, 0], t[::step][:-1], "right"
+        )
+        fine = ~restarted & (length > 1e-6) & (length < 1.0)
+        along = np.einsum("ij,ij->i", seen - moved, moved) / np.maximum(length, 1e-9)
+        variance = 2.0 * problem.floor.sigma["truth.x"] ** 2
+        xy.append(path[chosen][1:][fine])
+        score.append((-length * along / variance)[fine])
+        info.append((length**2 / variance)[fine])
+    return np.concatenate(xy), np.concatenate(score), np.concatenate(info)
+
+
+def _bumps(problem: Problem, bodies: list[Outputs]) -> list[Candidate]:
+    """Instants, on a grid, at which turn rate and forward force show the bump's profile in all runs together."""
+    end = max((float(w.times["imu.gz"][-1]) for w in problem.worlds if "imu.gz" in w.readings), default=0.0)
+    if end < 1.0:
+        return []
+    grid = np.arange(0.0, end, 0.02)
+    turn, way = np.zeros((2, len(grid))), np.zeros((2, len(grid)))
+    for world, body in zip(problem.worlds, bodies, strict=True):
+        for name, sums in (("imu.gz", turn), ("imu.ax", way), ("imu.ay", way)):
+            if name in world.readings:
+                sums += _profile_scores(problem, world, body, name, grid)
+    gains = []
+    for b, a in (turn, way):
+        gains.append(np.where(a > 0.0, b**2 / np.maximum(a, 1e-9), 0.0))
+    gain = gains[0] + gains[1]
+    out: list[Candidate] = []
+    for _ in range(BUMPS):
+        k = int(np.argmax(gain))
+        sizes = [float(b[k] / a[k]) if a[k] > 0 else 0.0 for b, a in (turn, way)]
+        start = {"time": float(grid[k]), "distance": sizes[1], "turn": sizes[0]}
+        out.append(Candidate("bump", start, ("time", "distance", "turn"), secant=True))
+        gain[max(k - 40, 0) : k + 41] = -1.0
+    return out
+
+
+def _profile_scores(problem: Problem, world: World, body: Outputs, name: str, grid: Array) -> Array:
+    """(2, G) score and information of a bump that starts at each instant of the grid, in one axis."""
+    t = world.times[name]
+    rate = 1.0 / max(float(np.median(np.diff(t))), 1e-6)
+    far = world.readings[name] - world.channel(body, name)[0]
+    weight = 1.0 / imu_sigma(world, name, body, problem.floor) ** 2
+    s = np.arange(int(SPAN * rate) + 1) / rate
+    if name == "imu.gz":
+        shape = (1.0 - np.cos(2.0 * np.pi * s / SPAN)) / SPAN
+    else:
+        forward = _forward(world, name)
+        shape = forward * 2.0 * np.pi / SPAN**2 * np.sin(2.0 * np.pi * s / SPAN)
+    b = np.correlate(far * weight, shape, mode="valid")
+    a = np.correlate(weight, shape**2, mode="valid")
+    if not len(b):
+        return np.zeros((2, len(grid)))
+    at = np.clip(np.searchsorted(t[: len(b)], grid), 0, len(b) - 1)
+    return np.vstack((b[at], a[at]))
+
+
+def _forward(world: World, name: str) -> float:
+    """Share of a forward force that an axis of the IMU sees."""
+    yaw = world.run.meta.robot.imu.yaw
+    return float(np.cos(yaw)) if name.endswith("ax") else float(-np.sin(yaw))
+
+
+def polish(
+    cost: Callable[[Mapping[str, float | str]], float], start: Mapping[str, float | str], steps: Sequence[float]
+) -> Mapping[str, float | str]:
+    """Move a disc's edges one by one, left, right, top, bottom, while the cost falls: between the edges' own small
+    neighbourhoods least squares sees nothing.
+    """
+    best, lowest = dict(start), cost(start)
+    for step in steps:
+        for _ in range(4):
+            moved = False
+            for dx, dy, dr in EDGES:
+                tried = {
+                    **best,
+                    "x": float(best["x"]) + 0.5 * step * dx,
+                    "y": float(best["y"]) + 0.5 * step * dy,
+                    "radius": max(float(best["radius"]) + 0.5 * step * dr, 0.02),
+                }
+                value = cost(tried)
+                if value < lowest - 1.0:
+                    best, lowest, moved = tried, value, True
+            if not moved:
+                break
+    return best
+
+
+EDGES = ((1, 0, 1), (1, 0, -1), (-1, 0, 1), (-1, 0, -1), (0, 1, 1), (0, 1, -1), (0, -1, 1), (0, -1, -1))
+"""Moves of (x, y, radius) that shift one side of a disc, in halves of a step."""

@@ -1,0 +1,226 @@
+"""Effects that only add noise, found in what a fitted model leaves: level, walk, vibration, outliers, shadow.
+
+The level is judged against the data sheet, sensor against sensor: where every sensor is louder than its sheet by one
+factor, the sheet is wrong, not a sensor. A gyro's walk is judged against the mean effects that could mimic it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from core.gap.floor import Floor
+from core.gap.linear import Problem, White
+from core.gap.world import World
+
+Array = npt.NDArray[np.float64]
+
+SECOND = 1.0
+"""Blocks over which the gyro's residual is averaged [s]."""
+DENSITIES = np.concatenate(([0.0], np.geomspace(2e-6, 2e-2, 40)))
+"""Walks tried [rad/s/√s]."""
+FAR = 4.0
+"""A fix further off than this many sigma may be an outlier."""
+LEAST = 6
+"""So many of them before one speaks of a rate."""
+AGREE = 1.12
+"""Factors of two sensors nearer than this are one."""
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """One noise effect: its parameters with standard deviations, the drop of -2 log likelihood that it brings."""
+
+    effect: str
+    parameters: dict[str, tuple[float, float]]
+    gain: float
+
+
+def scatters(problem: Problem, white: Sequence[Mapping[str, White]], known: Sequence[str]) -> list[Scatter]:
+    """Every noise effect that the residuals show at all; the caller judges size. known: already modelled, skipped."""
+    found = [*levels(problem.floor), vibration(problem), outliers(problem, white), shadow(problem)]
+    return [one for one in found if one is not None and one.effect not in known]
+
+
+def factors(floor: Floor) -> dict[str, tuple[float, float]]:
+    """Noise over data sheet, and its relative uncertainty, by kind of sensor."""
+    groups = {
+        "gyro": ("imu.gz",),
+        "accelerometer": ("imu.ax", "imu.ay"),
+        "beacon": ("beacon.x", "beacon.y", "beacon.theta", "ranges.range"),
+    }
+    out = {}
+    for group, names in groups.items():
+        rows = [(floor.sigma[n] / floor.sheet[n], floor.sd[n]) for n in names if n in floor.sigma and n in floor.sheet]
+        rows = [(f, sd) for f, sd in rows if sd < 0.5]
+        if rows:
+            weight = np.array([1.0 / sd**2 for _, sd in rows])
+            mean = float(np.exp(np.average([np.log(f) for f, _ in rows], weights=weight)))
+            spread = max(float(np.std([np.log(f) for f, _ in rows])) if len(rows) > 1 else 0.0, 0.0)
+            out[group] = (mean, max(float(weight.sum() ** -0.5), 0.5 * spread))
+    return out
+
+
+def levels(floor: Floor) -> list[Scatter]:
+    """`gyro_noise` and `beacon_noise`: louder than the sheet, and than the other sensors are than theirs."""
+    found = factors(floor)
+    out = []
+    for group, effect in (("gyro", "gyro_noise"), ("beacon", "beacon_noise")):
+        if group not in found:
+            continue
+        value, sd = found[group]
+        others = [f for name, (f, _) in found.items() if name != group]
+        if any(value / AGREE < other < value * AGREE for other in others) and value > AGREE:
+            continue  # its sheet is as wrong as another's
+        if value > 1.0 + 4.0 * sd:
+            out.append(Scatter(effect, {"factor": (value, value * sd)}, (np.log(value) / sd) ** 2))
+    return out
+
+
+def vibration(problem: Problem) -> Scatter | None:
+    """`vibration`, as the floor has it."""
+    k = problem.floor.vibration
+    if k <= 0.0:
+        return None
+    sd = 0.03 * k + 1e-3
+    return Scatter("vibration", {"k": (k, sd)}, (k / sd) ** 2)
+
+
+def block_means(t: Array, values: Array) -> tuple[Array, Array, Array]:
+    """Middle, mean and count of each block of SECOND."""
+    number = np.floor(t / SECOND)
+    first = np.flatnonzero(np.diff(number, prepend=-1.0))
+    count = np.diff(np.append(first, len(t)))
+    return np.add.reduceat(t, first) / count, np.add.reduceat(values, first) / count, count.astype(float)
+
+
+def walk_costs(t: Array, mean: Array, variance: Array, densities: Array = DENSITIES) -> Array:
+    """(K,) -2 log likelihood of block means under a bias that walks from 0, for each density."""
+    bias, p, cost, last = np.zeros(len(densities)), np.zeros(len(densities)), np.zeros(len(densities)), 0.0
+    for at, value, noise in zip(t, mean, variance, strict=True):
+        p = p + densities**2 * max(at - last, 0.0)
+        last = at
+        s = p + noise
+        e = value - bias
+        cost += np.log(s) + e * e / s
+        gain = p / s
+        bias = bias + gain * e
+        p = p * (1.0 - gain)
+    return cost
+
+
+def gyro_walk(problem: Problem, residuals: Sequence[tuple[Array, Array]]) -> tuple[Scatter | None, float]:
+    """`gyro_walk` in gyro residuals (t, rad/s) per run, and the drop of -2 log likelihood against no walk."""
+    sigma = problem.floor.sigma["imu.gz"]
+    total = np.zeros(len(DENSITIES))
+    for t, values in residuals:
+        at, mean, count = block_means(t, values)
+        total += walk_costs(at, mean, sigma**2 / count)
+    best = int(np.argmin(total))
+    gain = float(total[0] - total[best])
+    if best == 0 or gain < 12.0:
+        return None, max(gain, 0.0)
+    around = total[max(best - 1, 0) : best + 2]
+    step = np.log(DENSITIES[2] / DENSITIES[1])
+    bend = (around[0] - 2.0 * around[1] + around[-1]) / step**2 if len(around) == 3 else 1.0
+    sd = DENSITIES[best] * float(np.sqrt(2.0 / max(bend, 0.1)))
+    return Scatter("gyro_walk", {"density": (float(DENSITIES[best]), sd)}, gain), gain
+
+
+def outliers(problem: Problem, white: Sequence[Mapping[str, White]]) -> Scatter | None:
+    """`beacon_outliers`: a second, wider normal distribution among fixes and ranges, by expectation-maximisation."""
+    sets: list[Array] = []
+    for world, one in zip(problem.worlds, white, strict=True):
+        sets += _errors(problem, world, one)
+    if not sets:
+        return None
+    squares = np.concatenate([np.sum(e**2, axis=0) / len(e) for e in sets])
+    if int((squares > FAR**2).sum()) < LEAST:
+        return None
+    rate, wide = 0.05, 5.0
+    for _ in range(60):
+        near = [np.exp(-0.5 * np.sum(e**2, axis=0)) for e in sets]
+        far = [wide ** -len(e) * np.exp(-0.5 * np.sum(e**2, axis=0) / wide**2) for e in sets]
+        share = [rate * b / np.maximum((1 - rate) * a + rate * b, 1e-300) for a, b in zip(near, far, strict=True)]
+        weight = sum(float(s.sum()) for s in share)
+        rate = weight / sum(len(s) for s in share)
+        power = sum(float((s * np.sum(e**2, axis=0)).sum()) for s, e in zip(share, sets, strict=True))
+        wide = float(
+            np.sqrt(max(power / max(sum(float(s.sum()) * len(e) for s, e in zip(share, sets, strict=True)), 1e-9), 4.0))
+        )
+    n = sum(len(s) for s in share)
+    names = [name for name in ("beacon.x", "ranges.range") if name in problem.floor.sigma]
+    size = float(np.sqrt(wide**2 - 1.0)) * float(np.mean([problem.floor.sigma[name] for name in names]))
+    hits = rate * n
+    rate_sd = float(np.sqrt(rate * (1.0 - rate) / n)) * 1.2
+    return Scatter(
+        "beacon_outliers", {"rate": (rate, rate_sd), "size": (size, size / np.sqrt(2.0 * max(hits, 1.0)))}, 4.0 * hits
+    )
+
+
+def _errors(problem: Problem, world: World, white: Mapping[str, White]) -> list[Array]:
+    """Standardised errors of fixes (2, N) and ranges (1, N) against the fitted path, before any was left out."""
+    return [
+        np.vstack([white[name].residual for name in names])
+        for names in (("beacon.x", "beacon.y"), ("ranges.range",))
+        if all(name in white for name in names)
+    ]
+
+
+def shadow(problem: Problem) -> Scatter | None:
+    """`beacon_shadow`: a disc from which readings are missing though the rhythm asks for them, and none is there."""
+    present, absent = [], []
+    for world in problem.worlds:
+        for name in ("beacon.x", "ranges.range"):
+            if name in world.times and len(world.times[name]) > FAR:
+                here, gone = _rhythm(world, name)
+                present.append(here)
+                absent.append(gone)
+    if not present:
+        return None
+    here, gone = np.concatenate(present), np.concatenate(absent)
+    if len(gone) < LEAST:
+        return None
+    return _disc(here, gone)
+
+
+def _rhythm(world: World, name: str) -> tuple[Array, Array]:
+    """(N, 2) places of readings, and (M, 2) of those that the rhythm misses."""
+    t = world.times[name]
+    step = float(np.median(np.diff(t)))
+    jumps = np.flatnonzero(np.diff(t) > 2.5 * step)
+    lost = [np.arange(t[k] + step, t[k + 1] - 0.5 * step, step) for k in jumps]
+    times = np.concatenate(lost) if lost else np.empty(0)
+    if world.run.truth is not None and world.run.truth.x is not None and world.run.truth.y is not None:
+        at, x, y = world.run.truth.t, world.run.truth.x, world.run.truth.y
+    elif len(world.restarts):
+        at, x, y = world.restarts[:, 0], world.restarts[:, 1], world.restarts[:, 2]
+    else:
+        return np.empty((0, 2)), np.empty((0, 2))
+    return (
+        np.column_stack((np.interp(t, at, x), np.interp(t, at, y))),
+        np.column_stack((np.interp(times, at, x), np.interp(times, at, y))),
+    )
+
+
+def _disc(here: Array, gone: Array) -> Scatter | None:
+    """The disc that holds most missing readings and no present one, by a search over centres among the missing."""
+    best = (0.0, np.zeros(2), 0.0)
+    chosen = gone[:: max(len(gone) // 60, 1)]
+    centres = np.concatenate([chosen, *(0.5 * (chosen + other) for other in chosen[:: max(len(chosen) // 12, 1)])])
+    few = here[:: max(len(here) // 4000, 1)]
+    for centre in centres:
+        near = np.sort(np.hypot(*(few - centre).T))
+        radius = float(near[max(int(0.0005 * len(near)), 0)])
+        inside = int((np.hypot(*(gone - centre).T) < radius).sum())
+        if inside > best[0]:
+            best = (inside, centre, radius)
+    count, centre, radius = best
+    if count < LEAST or count < 0.3 * len(gone):
+        return None
+    sd = 0.02 + 0.05 * radius
+    parameters = {"x": (float(centre[0]), sd), "y": (float(centre[1]), sd), "radius": (radius, sd)}
+    return Scatter("beacon_shadow", parameters, 5.0 * count)

@@ -1,0 +1,113 @@
+"""What no listed effect explains: the generic shape that explains most of the rest, against the effects it rivals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from core.effects import EFFECTS
+from core.gap.fit import Fit
+from core.gap.generic import Shape, generic_columns
+from core.gap.linear import HUBER, Problem, columns_of, whitened
+from core.gap.selection import WORTH
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Shapes by the drop of the cost that each would bring beside a model, best first; excess by channel."""
+
+    shapes: tuple[tuple[Shape, float], ...]
+    excess: dict[str, float]
+
+    @property
+    def best(self) -> tuple[Shape | None, float]:
+        """The best shape and its drop."""
+        return self.shapes[0] if self.shapes else (None, 0.0)
+
+
+def rest_of(problem: Problem, fit: Fit) -> Rest:
+    """All shapes beside a fitted model, the model's own parameters free to give way."""
+    own = columns_of(fit.model, ())
+    white, _ = whitened(problem, fit.model, own, fit.scope)
+    shapes, generic = generic_columns(problem, fit.model, fit.scope)
+    m, count = len(own), len(shapes)
+    score, info, cross = np.zeros(count), np.zeros(count), np.zeros((count, m))
+    base, inside = np.zeros(m), np.zeros((m, m))
+    for mine, theirs in zip(white, generic, strict=True):
+        for name, one in mine.items():
+            weight = HUBER / np.maximum(np.abs(one.residual), HUBER)
+            if len(one.index):
+                weighted = one.columns * weight
+                base[one.index] += weighted @ one.residual
+                inside[np.ix_(one.index, one.index)] += weighted @ one.columns.T
+            if name in theirs:
+                other = theirs[name]
+                weighted = other.columns * weight
+                score[other.index] += weighted @ one.residual
+                info[other.index] += np.einsum("ij,ij->i", weighted, other.columns)
+                if len(one.index):
+                    cross[np.ix_(other.index, one.index)] += weighted @ one.columns.T
+    left = info.copy()
+    if m:
+        inverse = np.linalg.pinv(inside, rcond=1e-12)
+        score = score - cross @ (inverse @ base)
+        left = info - np.einsum("ij,jk,ik->i", cross, inverse, cross)
+    gain = np.where(left > 1e-4 * np.maximum(info, 1e-12), score**2 / np.maximum(left, 1e-12), 0.0)
+    order = np.argsort(-gain)
+    excess = {name: float(sum(fit.normal.c[i]) - sum(fit.normal.n[i])) for i, name in enumerate(fit.normal.channels)}
+    return Rest(tuple((shapes[i], float(gain[i])) for i in order[:12] if gain[i] > 0.0), excess)
+
+
+def touching(shape: Shape, model: Sequence[str]) -> list[str]:
+    """Effects of a model that could have taken what is the shape's."""
+    streams = {"body.w": "imu.gz", "body.v": "truth.x", "body.vy": "imu.ay"}
+    stream = streams.get(shape.channel, shape.channel)
+    return [name for name in model if stream in EFFECTS[name].streams]
+
+
+def matters(gain: float, tolerance: float) -> bool:
+    """Whether a rest is more than chance, and more than a flaw of tolerated size would leave."""
+    return gain > 1.5 * WORTH and gain > tolerance
+
+
+def words(shape: Shape, gain: float, share: float) -> str:
+    """One sentence about a shape."""
+    part = {
+        "body.w": "the body turns other than its wheels say",
+        "body.v": "the body drives other than its wheels say",
+        "body.vy": "the body slides sideways",
+    }.get(shape.channel, f"{shape.channel} is off")
+    return (
+        f"{part}, like {shape.text}; that shape takes {share:.0%} of what is left there (drop of deviance {gain:.0f})"
+    )
+
+
+def stream_of(shape: Shape) -> str:
+    """The stream that shows a shape best."""
+    return {"body.w": "imu.gz", "body.v": "truth.x", "body.vy": "imu.ay"}.get(shape.channel, shape.channel)
+
+
+REGRESSORS = {
+    "w": "truth.w", "v": "truth.v", "a": "truth.a", "alpha": "truth.alpha", "t": "t", "temperature": "imu.temperature",
+    "theta": "truth.theta", "x": "truth.x", "y": "truth.y", "range": "ranges.range",
+}  # fmt: skip
+
+
+def depends_on(shape: Shape) -> tuple[str, ...]:
+    """Regressors in the words of gap/1."""
+    found = [REGRESSORS.get(shape.regressor, shape.regressor)]
+    for token, name in (
+        ("·t", "t"),
+        ("t²", "t"),
+        ("temperature", "imu.temperature"),
+        ("w", "truth.w"),
+        ("v", "truth.v"),
+    ):
+        if token in shape.text and name not in found:
+            found.append(name)
+    return tuple(found)
