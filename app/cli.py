@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from app.cli_calibrate import add_commands as add_calibrate_commands
 from app.cli_firmware import add_commands as add_firmware_commands
+from app.cli_gap import add_commands as add_gap_commands
 from app.cli_imu import add_commands as add_imu_commands
 from app.cli_simulate import add_commands as add_simulate_commands
 
@@ -65,6 +66,7 @@ def parser() -> argparse.ArgumentParser:
     add_simulate_commands(commands, RUN_HELP)
     add_calibrate_commands(commands, RUN_HELP)
     add_firmware_commands(commands)
+    add_gap_commands(commands, RUN_HELP)
     return top
 
 
