@@ -16,6 +16,7 @@ Flags = npt.NDArray[np.bool_]
 
 LARGEST = 20.0  # longest tau, in lengths of the longest run
 FASTEST = 10.0  # s, of the flicker's processes
+SLOWEST = 8.0  # of them, in lengths of the longest run
 
 
 @dataclass(frozen=True)
@@ -112,8 +113,8 @@ class Problem:
         lengths = [np.ptp(self.time[data.run == r]) for r in np.unique(data.run)]
         # Faster flicker lies under the white noise; its factor takes it.
         fastest = max(2 * block, FASTEST)
-        count = max(1, int(np.ceil(np.log(max(2 * max(lengths) / fastest, 1.0)) / np.log(4))))
-        self.taus: Floats = np.array([fastest * 4.0**k for k in range(min(count, 7))])
+        count = max(1, int(np.ceil(np.log(max(SLOWEST * max(lengths) / fastest, 1.0)) / np.log(4))))
+        self.taus: Floats = np.array([fastest * 4.0**k for k in range(min(count, 8))])
         self.base = float(np.median(data.white))
         scale = np.maximum(np.sqrt((self.fixed**2).sum(axis=0)), 1e-300)
         _, size, right = np.linalg.svd(self.fixed / scale, full_matrices=False)

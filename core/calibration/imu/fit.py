@@ -27,6 +27,8 @@ Floats = npt.NDArray[np.float64]
 
 SHOWN = 12.0  # chi-square that a drift must save to count as shown
 WIDEST = 0.7  # deviation of tau's logarithm, beyond which it is not shown
+NARROW = 0.3  # the same, where the longest run does not reach REACHED times tau: a bend of flicker looks alike
+REACHED = 3.0
 GRID = 19
 UNLIKELY = 14.0  # chi-square beyond the best, where a time is no longer looked at
 SURE = 10.0  # deviations, beyond which a drift needs no comparison with none
@@ -160,7 +162,7 @@ def _described(problem: Problem, levels: Levels, tau: float | None, gain: float)
             if problem.span >= LONG_ENOUGH:
                 amplitude, amplitude_sd = float(beta[-1]), float(np.sqrt(variance[-1]))
             notes += ("no drift is shown; its time is not identifiable",)
-        elif log_sd > WIDEST:
+        elif log_sd > (WIDEST if problem.span > REACHED * tau else NARROW):
             notes += ("the bias drifts, but the runs are too short for its time and asymptote: not identifiable",)
         else:
             amplitude, amplitude_sd = float(beta[-1]), float(np.sqrt(variance[-1]))

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from core.calibration.imu.algorithm1 import AXES
-from core.calibration.imu.columns import FASTEST
+from core.calibration.imu.columns import FASTEST, SLOWEST
 from core.calibration.imu.fit import AxisFit
 from core.calibration.imu.stretches import Stretch
 
@@ -118,7 +118,7 @@ def _again(t: Floats, record: Stretch, axis: int, fitted: AxisFit) -> Floats:
     out += np.sqrt(levels.white * record.noise[axis] / np.median(record.count)) * rng.standard_normal(shape)
     out += np.cumsum(np.sqrt(levels.walk * step) * rng.standard_normal(shape), axis=1)
     tau = max(2 * step, FASTEST)
-    while tau < 2 * (t[-1] - t[0]):
+    while tau < SLOWEST * (t[-1] - t[0]):
         phi = np.exp(-step / tau)
         drive = np.sqrt(levels.swing * (1 - phi**2)) * rng.standard_normal(shape)
         drive[:, 0] = np.sqrt(levels.swing) * rng.standard_normal(COPIES)
