@@ -6,12 +6,12 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
 PORT ?= 8000
 PYTEST_WORKERS ?= 2
 
-.PHONY: run test check bench lock clean browser
+.PHONY: run test check bench lock clean browser board
 
 run: $(VENV)/.run
 	@exec $(BIN)/driftscope serve --demo --port $(PORT)
 
-test: $(VENV)/.test browser check
+test: $(VENV)/.test browser board check
 	@$(BIN)/python -m pytest -n $(PYTEST_WORKERS) --dist loadgroup
 
 check: $(VENV)/.test
@@ -38,6 +38,10 @@ $(VENV)/.test: $(VENV)/.run requirements-dev.lock
 # Debian's chromium where apt is there, else playwright's own.
 browser: $(VENV)/.test
 	@$(BIN)/python tests/browser/install.py
+
+# Compilers and an emulated Cortex-M7 for the firmware's tests, from Debian's packages where apt is there.
+board: $(VENV)/.test
+	@$(BIN)/python tests/core/firmware/install.py
 
 lock:
 	@uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --no-emit-index-url --no-emit-find-links --extra postgres --extra build pyproject.toml -o requirements.lock

@@ -94,19 +94,23 @@ def run(harness: Path, log: bytes) -> Replay:
     return Replay(values, (words[:, 11] & 1) == 1, (words[:, 11] >> 8).astype(np.uint8), words[:, 12].copy())
 
 
-def size(folder: Path) -> tuple[int, int]:
-    """(flash, RAM) [bytes] of the firmware alone on the Cortex-M7, without the C library: code with constants, and
-    one ds_state (the code itself has no data)."""
-    flash = ram = 0
+def size(folder: Path) -> tuple[int, int, int]:
+    """Bytes of the firmware alone on the Cortex-M7, without the C library: flash (code and constants), RAM (one
+    ds_state; the code itself has no data), and stack, at most (all functions' frames together: nothing recurses)."""
+    flash = ram = stack = 0
     probe = folder / "state.c"
     probe.write_text('#include "driftscope.h"\nextern ds_state state;\nds_state state;\n', encoding="utf-8")
     for path in [*sources(folder), probe]:
         made = path.with_suffix(".o")
-        _call(["arm-none-eabi-gcc", *M7, *STRICT, "-fno-common", "-c", str(path), "-o", str(made)])
+        options = ["-fno-common", "-fstack-usage", "-c", str(path), "-o", str(made)]
+        _call(["arm-none-eabi-gcc", *M7, *STRICT, *options])
         text, data, bss = _call(["arm-none-eabi-size", str(made)]).splitlines()[1].split()[:3]
         flash += int(text) + int(data)
         ram += int(data) + int(bss)
-    return flash, ram
+        frames = made.with_suffix(".su").read_text(encoding="utf-8").splitlines()
+        assert all(line.split("\t")[2] == "static" for line in frames), "a frame of no fixed size"
+        stack += sum(int(line.split("\t")[1]) for line in frames)
+    return flash, ram, stack
 
 
 def _call(command: list[str], folder: Path | None = None) -> str:

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
-import install
+from tests.core.firmware import install
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from core.calibration.imu import ImuCalibration, constants
+from core.calibration.imu import AXES, WINDOW, ImuCalibration, constants
 from core.calibration.imu.algorithm1 import online
+from core.calibration.imu.correct import offline
 from core.imu.bias import BiasEstimate, FilterConfig, track_bias
 from core.imu.bias.result import ACCEPTED
 from core.run import Run, RunMeta
@@ -73,18 +75,12 @@ def corrected(calibration: ImuCalibration, t: Floats, readings: Floats, window: 
     return online(made, t, readings)
 
 
-def offline(calibration: ImuCalibration, t: Floats, readings: Floats) -> Floats:
-    """(n, 6) the same errors removed afterwards, in double: biases by their curve in closed form, a moving average of
-    40 about each sample instead of behind it, the matrix solved."""
-    out = np.empty_like(readings)
-    made = constants(calibration)
-    kernel = np.full(40, 1 / 40)
-    held = np.convolve(np.ones(len(t)), kernel, "same")
-    for s, model in enumerate((calibration.accel, calibration.gyro)):
-        free = readings[:, 3 * s : 3 * s + 3] - model.bias(t)
-        smooth = np.column_stack([np.convolve(axis, kernel, "same") / held for axis in free.T])
-        out[:, 3 * s : 3 * s + 3] = smooth @ made.inverse[s].T
-    return out
+def alike(calibration: ImuCalibration, t: Floats, readings: Floats, online: Mapping[str, Floats]) -> Floats:
+    """(6,) correlation of online axes with those corrected afterwards, in double, by Python's offline counterpart of
+    Algorithm 1; aligned by the moving average's delay."""
+    after = offline(constants(calibration), t, readings)
+    late, early = slice(WINDOW + WINDOW // 2, None), slice(WINDOW, -(WINDOW // 2))
+    return np.array([np.corrcoef(online[axis][late], after[early, j])[0, 1] for j, axis in enumerate(AXES)])
 
 
 def bias_by(

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from board import STRICT, build, records, run, sources, write
-from logs import driving_log, random_calibration
 
 from core.calibration.imu import ImuCalibration
 from core.errors import FormatError, ParameterError
 from core.firmware import TRACKERS, Noise, firmware, generate, noise_of_allan
 from core.imu.bias import BiasNoise
+from tests.core.firmware.board import STRICT, build, records, run, sources, write
+from tests.core.firmware.logs import driving_log, random_calibration
 
 
 def silent() -> ImuCalibration:
