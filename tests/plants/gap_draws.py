@@ -1,0 +1,118 @@
+"""What to draw for the gap's worlds: each effect with a size between a few and many times its tolerance."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tests.plants.gap_plant import OUTSIDE, Effects, Plan
+
+TOLERANCES = {
+    "command_delay.delay": 0.004, "motor_lag.tau": 0.005, "deadband.width": 0.003, "drive_gain.gain": 0.001,
+    "battery_sag.rate": 6e-6, "wheel_radius.scale": 0.001, "unequal_wheels.ratio": 6e-4, "track_width.scale": 0.002,
+    "wheel_slip.k": 0.004, "side_slip.k": 0.003, "gyro_bias.bias": 1e-4, "gyro_walk.density": 2e-5,
+    "gyro_temperature.slope": 4e-5, "gyro_scale.scale": 0.002, "gyro_g_sensitivity.k": 4e-4, "imu_yaw.angle": 0.007,
+    "vibration.k": 0.012, "beacon_delay.delay": 0.025, "beacon_rotation.angle": 0.003, "beacon_scale.scale": 0.002,
+    "range_bias.bias": 0.008, "imu_clock.offset": 0.001, "clock_drift.skew": 2e-5, "gyro_drift.amplitude": 2e-4,
+    "slip_patch.slip": 0.03,
+}  # fmt: skip
+ONE_SIDED = (
+    "command_delay",
+    "motor_lag",
+    "deadband",
+    "battery_sag",
+    "wheel_slip",
+    "gyro_walk",
+    "vibration",
+    "beacon_delay",
+    "slip_patch",
+)
+PAIRS = {
+    "floor_tilt": ("slope_x", "slope_y", 6e-4),
+    "accel_bias": ("x", "y", 0.002),
+    "accel_scale": ("x", "y", 0.01),
+    "imu_offset": ("x", "y", 0.01),
+    "missed_ticks": ("left", "right", 6e-4),
+    "beacon_shift": ("x", "y", 0.01),
+    "tag_offset": ("x", "y", 0.01),
+    "anchor_moved": ("x", "y", 0.015),
+}
+NAMES = (
+    *(key.split(".")[0] for key in TOLERANCES), *PAIRS, "speed_limit", "accel_limit", "gyro_clip", "gyro_noise",
+    "beacon_noise", "beacon_outliers", "beacon_shadow", "bump",
+)  # fmt: skip
+
+
+def draw(name: str, times: float, rng: np.random.Generator) -> Effects:
+    """One effect of so many times its tolerance."""
+    sign = 1.0 if name in ONE_SIDED else float(rng.choice([-1.0, 1.0]))
+    for key, small in TOLERANCES.items():
+        effect, parameter = key.split(".")
+        if effect == name:
+            neutral = 1.0 if parameter in ("scale", "gain", "ratio") else 0.0
+            size = min(
+                small * times,
+                {"slip": 0.5, "skew": 5e-4, "delay": 0.4, "tau": 0.2, "angle": 0.2, "width": 0.05}.get(
+                    parameter, np.inf
+                ),
+            )
+            values: dict[str, float | str] = {parameter: neutral + sign * size}
+            if name == "gyro_drift":
+                values["tau"] = float(rng.uniform(25.0, 90.0))
+            if name == "slip_patch":
+                values |= {
+                    "x": float(rng.uniform(2.0, 3.0)),
+                    "y": float(rng.uniform(1.5, 2.5)),
+                    "radius": float(rng.uniform(0.5, 1.0)),
+                }
+            return {name: values}
+    if name in PAIRS:
+        a, b, small = PAIRS[name]
+        angle = float(rng.uniform(0.0, 2.0 * np.pi))
+        size = min(small * times, 0.3)
+        x, y = size * np.cos(angle), size * np.sin(angle)
+        if name == "missed_ticks":
+            x, y = abs(x), abs(y)
+        base = 1.0 if name == "accel_scale" else 0.0
+        values = {a: base + x, b: base + y}
+        if name == "anchor_moved":
+            values["beacon"] = str(rng.choice(["A", "B", "C", "D"]))
+        return {name: values}
+    more = min(times / 20.0, 1.0)
+    others: dict[str, dict[str, float | str]] = {
+        "speed_limit": {"v_max": 0.75 - 0.35 * more},
+        "accel_limit": {"a_max": 0.8 - 0.4 * more},
+        "gyro_clip": {"limit": 0.85 - 0.35 * more},
+        "gyro_noise": {"factor": 1.0 + 0.06 * min(times, 15.0)},
+        "beacon_noise": {"factor": 1.0 + 0.1 * min(times, 15.0)},
+        "beacon_outliers": {"rate": min(0.015 * times, 0.2), "size": 0.5},
+        "beacon_shadow": {"x": 2.5, "y": 2.0, "radius": min(0.1 * times, 0.7)},
+        "bump": {"time": float(rng.uniform(10.0, 60.0)), "distance": sign * 0.002 * times, "turn": 0.005 * times},
+    }
+    return {name: others[name]}
+
+
+def plans(kind: str, seed: int) -> tuple[list[Plan], Plan, Effects, str]:
+    """(fit runs, held-out run, answer, label) of one case; kind: single, small, pair, null, noise, truthless, open."""
+    rng = np.random.default_rng([seed, 7])
+    names = sorted(set(NAMES))
+    times = float(np.exp(rng.uniform(np.log(6.0), np.log(30.0)))) if kind != "small" else 3.0
+    chosen = [names[seed % len(names)]] if kind in ("single", "small", "truthless", "pair") else []
+    if kind == "pair":
+        chosen.append(str(rng.choice([n for n in names if n not in chosen])))
+    effects: dict[str, dict[str, float | str]] = {}
+    for name in chosen:
+        effects |= {k: dict(v) for k, v in draw(name, times, rng).items()}
+    outside = {}
+    if kind == "open":
+        name = sorted(OUTSIDE)[seed % len(OUTSIDE)]
+        outside = {name: OUTSIDE[name] * float(rng.uniform(0.7, 2.0))}
+        chosen = [name]
+    stated = float(rng.choice([1 / 1.5, 1.5])) if kind == "noise" else 1.0
+    common = {"effects": effects, "outside": outside, "truth": kind != "truthless", "stated": stated}
+    common["sensors"] = (
+        "both"
+        if any("beacon" in n or "range" in n or "anchor" in n or "tag" in n for n in chosen)
+        else str(rng.choice(["fix", "ranges", "both"]))
+    )
+    fit = [Plan(seed, "mixed", 100.0, **common), Plan(seed, "turns", 80.0, **common)]
+    return fit, Plan(seed, "stops", 90.0, **common), effects, "+".join(chosen)
