@@ -6,6 +6,7 @@ keeps what the smoother needs to walk back.
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -15,12 +16,61 @@ import numpy as np
 from numba import njit
 
 from core.estimation.fusion._beacon_numba import fix, range_to
-from core.estimation.fusion._model_numba import correct_state, keep, step
+from core.estimation.fusion._model_numba import correct_state, step
 from core.estimation.fusion._wheels_numba import wheels
 from core.estimation.fusion.layout import (
-    ACCEL, AX, B, CARRIED, FIX, GZ, KB, N, OUT, PHI, REFUSED_REST, REST, RESTING, S, Scratch, SPED, STARTED, T,
-    T_IMU, T_TRUST, T_WHEEL, TH, TURNED, UNSEEN, V, WHEEL, X, Y,
+    ACCEL,
+    AX,
+    BA,
+    CARRIED,
+    COAST,
+    FIX,
+    GATE1,
+    GZ,
+    HAS_ACCEL,
+    HAS_GYRO,
+    HOLD,
+    KB,
+    LOST_SPEED,
+    OUT,
+    PARTS,
+    PATIENCE_REST,
+    PHI,
+    Q_CARRIED,
+    Q_CARRIED_TURN,
+    Q_PAUSE,
+    Q_SLIDE,
+    R_RATE,
+    R_STILL,
+    REFUSED_REST,
+    REST,
+    RESTING,
+    SILENCE,
+    SLIPPING,
+    SPED,
+    STARTED,
+    STRANGE,
+    T_IMU,
+    T_LOST,
+    T_STRANGE,
+    T_TRUST,
+    T_WHEEL,
+    TH,
+    TURNED,
+    UNSEEN,
+    WASH_IMU,
+    WASH_WHEELS,
+    WHEEL,
+    B,
+    N,
+    S,
+    T,
+    V,
+    X,
+    Y,
 )  # fmt: skip
+
+WASH, RECENT = 0.3, 1.0  # s: memory of a change of speed; for how long the largest one is kept
 
 
 @njit(error_model="numpy")
@@ -32,12 +82,12 @@ def _inertial(t: float, kind: int, a: Any, mem: Any, c: Any) -> tuple[float, flo
         turned, sped, unseen = 0.0, 0.0, t - mem[STARTED]
     else:
         age = t - mem[T_IMU]
-        if age > 2.0 * c.hold:
-            turned, sped, unseen = mem[GZ] * c.hold, mem[AX] * c.hold, age - c.hold
+        if age > 2.0 * c[HOLD]:
+            turned, sped, unseen = mem[GZ] * c[HOLD], mem[AX] * c[HOLD], age - c[HOLD]
         elif kind == OUT:
             turned, sped, unseen = 0.5 * (mem[GZ] + a[0]) * age, 0.5 * (mem[AX] + a[1]) * age, 0.0
         else:
-            held = min(age, c.hold)
+            held = min(age, c[HOLD])
             turned, sped, unseen = mem[GZ] * held, mem[AX] * held, 0.0
     raw, dv, blind = turned - mem[TURNED], sped - mem[SPED], max(unseen - mem[UNSEEN], 0.0)
     mem[TURNED], mem[SPED], mem[UNSEEN] = turned, sped, unseen
@@ -51,51 +101,74 @@ def _inertial(t: float, kind: int, a: Any, mem: Any, c: Any) -> tuple[float, flo
 def _at_rest(x: Any, P: Any, gz: float, mem: Any, c: Any) -> bool:
     """Whether the gyro's reading can be its bias; one that stays different for long becomes the bias."""
     nu = gz - x[B]
-    if nu * nu > c.gate1 * (P[B, B] + c.r_rate):
-        mem[REFUSED_REST] += 1
-        if mem[REFUSED_REST] <= c.patience_rest:
+    if nu * nu > c[GATE1] * (P[B, B] + c[R_RATE]):
+        mem[REFUSED_REST] += 1.0
+        if mem[REFUSED_REST] <= c[PATIENCE_REST]:
             return False
         P[B, B] += nu * nu
-    mem[REFUSED_REST] = 0
+    mem[REFUSED_REST] = 0.0
     return True
 
 
 @njit(error_model="numpy")
-def _move(t: float, kind: int, a: Any, flags: int, x: Any, P: Any, n: int, mem: Any, c: Any, f: Any) -> bool:
-    """Carry the state to t; false where no time has passed."""
+def _feel(t: float, dt: float, dv: float, mem: Any) -> None:
+    """How much speed the body has lost of late that the wheels have not: both changes of speed, washed out over WASH."""
+    keep = math.exp(-dt / WASH)
+    mem[WASH_IMU] = (mem[WASH_IMU] + dv) * keep
+    mem[WASH_WHEELS] *= keep
+    lost = mem[WASH_IMU] - mem[WASH_WHEELS]
+    if abs(lost) >= abs(mem[LOST_SPEED]) or t - mem[T_LOST] > RECENT:
+        mem[LOST_SPEED], mem[T_LOST] = lost, t
+
+
+@njit(error_model="numpy")
+def _move(t: float, kind: int, a: Any, flags: int, x: Any, P: Any, n: int, mem: Any, c: Any, f: Any) -> None:
+    """Carry the state to t; NaN in the first of the step's parts where no time has passed."""
     raw, dv, blind = 0.0, 0.0, 0.0
     dt = t - mem[T]
-    if c.has_gyro != 0.0:
+    if c[HAS_GYRO] != 0.0:
         raw, dv, blind = _inertial(t, kind, a, mem, c)
     if dt <= 0.0:
-        return False
+        f[0] = np.nan
+        return
     mem[T] = t
-    trusted = c.has_accel != 0.0 and blind == 0.0 and flags & ACCEL == 0 and mem[T_IMU] >= 0.0
-    fading = t - mem[T_WHEEL] > c.silence or t - mem[T_TRUST] > c.coast
+    if c[HAS_ACCEL] != 0.0:
+        _feel(t, dt, dv - x[BA] * dt, mem)
+    trusted = c[HAS_ACCEL] != 0.0 and blind == 0.0 and flags & ACCEL == 0 and mem[T_IMU] >= 0.0
+    fading = t - mem[T_WHEEL] > c[SILENCE] or t - mem[T_TRUST] > c[COAST]
     resting = mem[RESTING] != 0.0
     step(x, P, n, dt, raw, dv, trusted, resting, fading, c, f)
     if blind > 0.0 and not resting:
-        q, k = c.q_pause * blind, 1.0 + x[KB]
+        q, k = c[Q_PAUSE] * blind, 1.0 + x[KB]
         P[TH, TH] += q
         if n > S:
             P[PHI, PHI] += q * k * k
             P[TH, PHI] += q * k
             P[PHI, TH] += q * k
+    if flags & SLIPPING:
+        P[X, X] += c[Q_SLIDE] * dt
+        P[Y, Y] += c[Q_SLIDE] * dt
     if flags & CARRIED:
-        P[X, X] += c.q_carried * dt
-        P[Y, Y] += c.q_carried * dt
-        P[TH, TH] += c.q_carried_turn * dt
-    return True
+        P[X, X] += c[Q_CARRIED] * dt
+        P[Y, Y] += c[Q_CARRIED] * dt
+        P[TH, TH] += c[Q_CARRIED_TURN] * dt
 
 
 @njit(error_model="numpy")
-def _row(x: Any, P: Any, n: int, row: int, out: Any) -> None:
+def _write(x: Any, P: Any, n: int, row: int, at: int, out: Any, rec: Any) -> None:
+    """A row of the path; at >= 0: what the smoother needs of it."""
     for i in range(3):
-        out.pose[row, i] = x[i]
+        out.rows[row, i] = x[i]
         for j in range(3):
             out.covariance[row, i, j] = P[i, j]
-    out.bias[row] = x[B]
-    out.bias_var[row] = P[B, B]
+    out.rows[row, 3] = x[B]
+    out.rows[row, 4] = P[B, B]
+    if at >= 0:
+        for j in range(n):
+            rec.rows[at, 0, j] = P[X, j]
+            rec.rows[at, 1, j] = P[Y, j]
+            rec.rows[at, 2, j] = P[TH, j]
+            rec.rows[at, 3, j] = P[B, j]
 
 
 def _entry_point(digest: int) -> Callable[..., int]:
@@ -107,45 +180,39 @@ def _entry_point(digest: int) -> Callable[..., int]:
         begin: int, end: int, row: int, events: Any, x: Any, P: Any, n: int, mem: Any, past: Any, c: Any, out: Any,
         rec: Any, record: bool,
     ) -> int:  # fmt: skip
-        work, row0 = np.zeros((1, N)), row
-        w = Scratch(
-            np.zeros((3, N)), np.zeros(N), np.zeros((3, 7), np.int64), np.zeros((3, 7)), np.zeros(3, np.int64),
-            np.zeros(3), np.zeros(3),
-        )  # fmt: skip
+        work, index, parts = np.zeros((9, N)), np.zeros((3, 8), np.int64), np.zeros(PARTS + 1)
+        row0 = row
         for e in range(begin, end):
-            t, a, kind, flags, k = events.t[e], events.data[e], events.kind[e], events.flags[e], 0
+            t, a, kind, flags, k = events.t[e], events.data[e], events.kind[e], events.flags[e], -1
+            if flags & STRANGE:
+                mem[T_STRANGE] = t
             if flags & REST == 0 or flags & CARRIED:
                 mem[RESTING] = 0.0
             elif kind == OUT:
                 mem[RESTING] = 1.0 if _at_rest(x, P, a[0], mem, c) else 0.0
             if record:
                 k = e - begin
-                rec.first[k] = rec.used[0]
-            moved = _move(t, kind, a, flags, x, P, n, mem, c, rec.parts[k])
-            if not moved:
-                rec.parts[k, 0] = np.nan
+                rec.marks[k + 1, 0] = rec.marks[k, 0]
+                rec.marks[k, 1] = 0
+            _move(t, kind, a, flags, x, P, n, mem, c, parts)
+            parts[PARTS] = 1.0
             if kind == WHEEL:
-                wheels(t, a, flags, x, P, n, mem, c, work, out.nis[e], out.status[e], rec, record, k)
-            elif kind == FIX:
-                fix(t, a, flags, x, P, n, mem, past, c, w, out.nis[e], out.status[e], rec, record, k)
-            elif kind != OUT:
-                range_to(t, a, x, P, n, mem, c, w, out.nis[e], out.status[e], rec, record, k)
-            else:
+                wheels(t, a, flags, x, P, n, mem, c, work[0], out, e, rec, k)
+            elif kind == OUT:
                 if mem[RESTING] != 0.0:
-                    nu = a[0] - x[B]
-                    variance = correct_state(x, P, n, B, nu, c.r_rate, work[0])
-                    keep(rec, record, B, work[0], n, nu, variance)
-                    nu = -x[V]
-                    variance = correct_state(x, P, n, V, nu, c.r_still, work[0])
-                    keep(rec, record, V, work[0], n, nu, variance)
-                _row(x, P, n, row, out)
-                if record:
-                    for i in range(4):
-                        for j in range(n):
-                            rec.rows[row - row0, i, j] = P[i if i < 3 else B, j]
+                    for i in range(2):
+                        state = V if i else B
+                        z, r = (0.0, c[R_STILL]) if i else (a[0], c[R_RATE])
+                        correct_state(x, P, n, state, z - x[state], r, work[0], rec, k)
+                _write(x, P, n, row, row - row0 if record else -1, out, rec)
                 row += 1 + 0 * digest
-        if record:
-            rec.first[end - begin] = rec.used[0]
+            elif kind == FIX:
+                fix(t, a, flags, x, P, n, mem, past, c, work, index, parts, out, e, rec, k)
+            else:
+                range_to(t, a, x, P, n, mem, c, work, index, parts, out, e, rec, k)
+            if record:
+                for i in range(PARTS + 1):
+                    rec.parts[k, i] = parts[i]
         return row
 
     return run_filter
@@ -157,7 +224,7 @@ DIGEST = zlib.crc32(b"".join(Path(__file__).with_name(name).read_bytes() for nam
 run_filter = _entry_point(DIGEST)
 """run_filter(begin, end, row, events, x, P, n, mem, past, c, out, rec, record) -> next row: walk over events begin .. end.
 
-events: t, kind, data, flags (E, ...) as `layout` says. Changed in place: x (N,), P (N, N), mem (MEMORY,), past (PAST,
-SEEN). Into `out`: nis, status (E, 2) per event (WHEEL distance, turn; FIX, RANGE joint value, log of the innovation's
-determinant), pose, covariance, bias, bias_var per OUT event, from `row` on.
+events, c, out, rec: `Readings`, an array of `Constants`, `Tracks`, `Records`. Changed in place: x (N,), P (N, N), mem
+(MEMORY,), past (PAST, SEEN). In `out.nis`: WHEEL distance, turn; FIX, RANGE joint value, log of the innovation's
+determinant.
 """

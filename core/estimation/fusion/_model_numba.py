@@ -8,8 +8,57 @@ from typing import Any
 from numba import njit
 
 from core.estimation.fusion.layout import (
-    B, BA, BR, CBA, CD, DX, DY, F, FB, HB, KB, KD, KE, KG, KX, KY, MOVING, PHI, PHI_D, PHI_KB, PHI_KE, PHI_W, PX, PY, S,
-    TH, UX, UY, V, W_B, W_D, W_KB, W_KE, W_KG, X, Y,
+    BA,
+    BR,
+    CBA,
+    CD,
+    DX,
+    DY,
+    FB,
+    HAS_GYRO,
+    HB,
+    INVERSE_TRACK,
+    KB,
+    KD,
+    KE,
+    KG,
+    KX,
+    KY,
+    MOVING,
+    NU,
+    PHI,
+    PHI_D,
+    PHI_KB,
+    PHI_KE,
+    PHI_W,
+    PX,
+    PY,
+    Q_ACCEL,
+    Q_BIAS,
+    Q_GYRO,
+    Q_SCALE,
+    Q_SIDE,
+    Q_SLIP,
+    Q_SPEED,
+    Q_TILT,
+    Q_TURN,
+    TAU,
+    TH,
+    UX,
+    UY,
+    VALUES,
+    VARIANCE,
+    W_B,
+    W_D,
+    W_KB,
+    W_KE,
+    W_KG,
+    B,
+    F,
+    S,
+    V,
+    X,
+    Y,
 )  # fmt: skip
 
 
@@ -36,32 +85,32 @@ def step(
     (PARTS,) receives what the Jacobian is made of, and `spread` carries the covariance."""
     f[F], f[CD], f[FB], cb = 1.0, dt, 1.0, dt
     if fading:
-        f[F] = math.exp(-dt / c.tau)
-        f[CD] = c.tau * (1.0 - f[F])
-        if c.has_gyro == 0.0:
+        f[F] = math.exp(-dt / c[TAU])
+        f[CD] = c[TAU] * (1.0 - f[F])
+        if c[HAS_GYRO] == 0.0:
             f[FB], cb = f[F], f[CD]
     f[CBA] = dt if trusted else 0.0
     change = dv - f[CBA] * x[BA] if trusted else 0.0
     d = (x[V] + 0.5 * change) * f[CD]
     f[HB] = 0.5 * f[CBA] * f[CD]
     f[W_D], f[W_KE], f[W_KB], f[W_KG] = 0.0, 0.0, 0.0, 0.0
-    if c.has_gyro != 0.0:
+    if c[HAS_GYRO] != 0.0:
         if resting:
             raw, cb = 0.0, 0.0
         gain = 1.0 - x[KG]
         free = raw - x[B] * cb
         w = free * gain
         f[W_B], f[W_KG] = -cb * gain, -free
-        f[PHI_W], f[PHI_D] = 1.0 + x[KB], -x[KE] * c.inverse_track
-        f[PHI_KE], f[PHI_KB] = -d * c.inverse_track, w
+        f[PHI_W], f[PHI_D] = 1.0 + x[KB], -x[KE] * c[INVERSE_TRACK]
+        f[PHI_KE], f[PHI_KB] = -d * c[INVERSE_TRACK], w
         turned = w * f[PHI_W] + d * f[PHI_D]
     else:
         turned = -x[B] * cb
         gain = 1.0 - x[KB]
-        free = turned + x[KE] * d * c.inverse_track
+        free = turned + x[KE] * d * c[INVERSE_TRACK]
         w = free * gain
         f[W_B], f[W_KB] = -cb * gain, -free
-        f[W_D], f[W_KE] = gain * x[KE] * c.inverse_track, gain * d * c.inverse_track
+        f[W_D], f[W_KE] = gain * x[KE] * c[INVERSE_TRACK], gain * d * c[INVERSE_TRACK]
         f[PHI_W], f[PHI_D] = -cb, 0.0
     half = 0.5 * w
     chord, bend = _arc(half)
@@ -79,7 +128,7 @@ def step(
     if n > S:
         x[S] += d
         x[PHI] += turned
-    spread(P, n, c.has_gyro != 0.0, f)
+    spread(P, n, c[HAS_GYRO] != 0.0, f)
     add_noise(P, n, dt, abs(body), w, ux, uy, x[KB], trusted, resting, f[F], c)
 
 
@@ -165,36 +214,36 @@ def add_noise(
     f: float, c: Any,
 ) -> None:  # fmt: skip
     """Process noise of one step: speed, turn, slip along and across, slow parameters."""
-    q_v, q_dv, q_d = _wander(dt, f, c.tau)
-    q = c.q_accel if trusted else c.q_speed
+    q_v, q_dv, q_d = _wander(dt, f, c[TAU])
+    q = c[Q_ACCEL] if trusted else c[Q_SPEED]
     P[V, V] += q * q_v
     add3(P, X, Y, S, ux, uy, 1.0 if n > S else 0.0, q * q_d)
     for i, e in ((X, ux), (Y, uy), (S, 1.0)):
         if i < n:
             P[i, V] += e * q * q_dv
             P[V, i] += e * q * q_dv
-    add3(P, X, Y, S, -uy, ux, 0.0, c.q_side * along)
-    add3(P, X, Y, S, ux, uy, 0.0, 0.5 * c.q_slip * along)  # v is the wheels' speed: it is the body that slips
-    slip_turn = 2.0 * c.q_slip * c.inverse_track * (along * c.inverse_track + 0.5 * abs(w))
-    if c.has_gyro != 0.0:
-        P[B, B] += c.q_bias * dt
-        q_turn = 0.0 if resting else c.q_gyro * dt
+    add3(P, X, Y, S, -uy, ux, 0.0, c[Q_SIDE] * along)
+    add3(P, X, Y, S, ux, uy, 0.0, 0.5 * c[Q_SLIP] * along)  # v is the wheels' speed: it is the body that slips
+    slip_turn = 2.0 * c[Q_SLIP] * c[INVERSE_TRACK] * (along * c[INVERSE_TRACK] + 0.5 * abs(w))
+    if c[HAS_GYRO] != 0.0:
+        P[B, B] += c[Q_BIAS] * dt
+        q_turn = 0.0 if resting else c[Q_GYRO] * dt
         if n > S:
             P[PHI, PHI] += slip_turn  # the gyro has the body's turn: it is the wheels that slip
             add3(P, TH, PHI, PHI, 1.0, 1.0 + kb, 0.0, q_turn)
         else:
             P[TH, TH] += q_turn
     else:
-        P[B, B] += c.q_turn * q_v
+        P[B, B] += c[Q_TURN] * q_v
         P[TH, TH] += slip_turn
         gain = 1.0 - kb
         for i, e in ((TH, gain), (PHI, 1.0)):
-            P[i, B] -= e * c.q_turn * q_dv
-            P[B, i] -= e * c.q_turn * q_dv
-        add3(P, TH, PHI, PHI, gain, 1.0, 0.0, c.q_turn * q_d)
+            P[i, B] -= e * c[Q_TURN] * q_dv
+            P[B, i] -= e * c[Q_TURN] * q_dv
+        add3(P, TH, PHI, PHI, gain, 1.0, 0.0, c[Q_TURN] * q_d)
     for i in range(KD, min(n, BR + 1)):
         if P[i, i] > 0.0:  # a parameter with no variance is frozen
-            P[i, i] += (c.q_tilt if i == BA else c.q_scale) * dt
+            P[i, i] += (c[Q_TILT] if i == BA else c[Q_SCALE]) * dt
 
 
 @njit(error_model="numpy")
@@ -222,18 +271,17 @@ def anchor(P: Any, n: int, k: int, r: float) -> None:
 
 
 @njit(error_model="numpy")
-def covariance_with(P: Any, n: int, index: Any, value: Any, count: int, g: Any) -> float:
-    """g (n,) = P h for the sparse row h (value at index, `count` of them); returns h' P h."""
-    k, a = index[0], value[0]
+def covariance_with(P: Any, n: int, which: Any, value: Any, g: Any) -> float:
+    """g (n,) = P h for the sparse row h (value at which[:7], which[7] of them); returns h' P h."""
     for i in range(n):
-        g[i] = a * P[k, i]
-    for m in range(1, count):
-        k, a = index[m], value[m]
+        g[i] = value[0] * P[which[0], i]
+    for m in range(1, which[7]):
+        k, a = which[m], value[m]
         for i in range(n):
             g[i] += a * P[k, i]
     total = 0.0
-    for m in range(count):
-        total += value[m] * g[index[m]]
+    for m in range(which[7]):
+        total += value[m] * g[which[m]]
     return total
 
 
@@ -246,32 +294,32 @@ def correct(x: Any, P: Any, n: int, g: Any, nu: float, variance: float) -> None:
         x[i] += gain * nu
         for j in range(n):
             P[i, j] -= gain * g[j]
-    for i in range(n):
-        if P[i, i] < 0.0:
-            P[i, i] = 0.0
+        P[i, i] = max(P[i, i], 0.0)
 
 
 @njit(error_model="numpy")
-def correct_state(x: Any, P: Any, n: int, k: int, nu: float, r: float, g: Any) -> float:
-    """Update by a reading of state k itself; its covariances are computed without a difference that would cancel."""
+def correct_state(x: Any, P: Any, n: int, k: int, nu: float, r: float, g: Any, rec: Any, event: int) -> None:
+    """Update by a reading of state k itself; its covariances are computed without a difference that would cancel.
+    Recorded, unless event < 0."""
     for i in range(n):
         g[i] = P[k, i]
     variance = g[k] + r
+    if event >= 0:
+        u = rec.marks[event + 1, 0]
+        rec.which[u, 0], rec.which[u, 7], rec.corrections[u, VALUES] = k, 1, 1.0
+        keep(rec, event, g, n, nu, variance)
     correct(x, P, n, g, nu, variance)
     ratio = r / variance
     for i in range(n):
         P[i, k] = g[i] * ratio
         P[k, i] = P[i, k]
-    return variance
 
 
 @njit(error_model="numpy")
-def keep(rec: Any, record: bool, k: int, g: Any, n: int, nu: float, variance: float) -> None:
-    """Record a correction by a reading of state k."""
-    if record:
-        u = rec.used[0]
-        rec.index[u, 0], rec.value[u, 0], rec.count[u] = k, 1.0, 1
-        for i in range(n):
-            rec.gain[u, i] = g[i]
-        rec.nu[u], rec.variance[u] = nu, variance
-        rec.used[0] = u + 1
+def keep(rec: Any, event: int, g: Any, n: int, nu: float, variance: float) -> None:
+    """Record a correction whose row is written already."""
+    u = rec.marks[event + 1, 0]
+    for i in range(n):
+        rec.corrections[u, i] = g[i]
+    rec.corrections[u, NU], rec.corrections[u, VARIANCE] = nu, variance
+    rec.marks[event + 1, 0] = u + 1

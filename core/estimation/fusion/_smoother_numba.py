@@ -17,94 +17,165 @@ import numpy as np
 from numba import njit
 
 from core.estimation.fusion.layout import (
-    B, BA, CBA, CD, DX, DY, F, FB, HB, KB, KD, KE, KG, KR, KX, KY, MOVING, N, OUT, PHI, PHI_D, PHI_KB, PHI_KE, PHI_W, PX,
-    PY, S, TH, UX, UY, V, W_B, W_D, W_KB, W_KE, W_KG, X, Y,
+    BA,
+    CBA,
+    CD,
+    DX,
+    DY,
+    FB,
+    HB,
+    KB,
+    KD,
+    KE,
+    KG,
+    KX,
+    KY,
+    NU,
+    OUT,
+    PARTS,
+    PHI,
+    PHI_D,
+    PHI_KB,
+    PHI_KE,
+    PHI_W,
+    PX,
+    PY,
+    TH,
+    UX,
+    UY,
+    VALUES,
+    VARIANCE,
+    W_B,
+    W_D,
+    W_KB,
+    W_KE,
+    W_KG,
+    B,
+    F,
+    N,
+    S,
+    V,
+    X,
+    Y,
 )  # fmt: skip
 
 
 @njit(error_model="numpy")
-def _back(z: Any, i: int, f: Any, gyro: bool, wheels: bool) -> None:
-    """Row i of z becomes itself times F: the adjoint of `_model_numba.spread`, for one row."""
-    x, y, th, s, phi, v, b = z[i, X], z[i, Y], z[i, TH], z[i, S], z[i, PHI], z[i, V], z[i, B]
+def _back(z: Any, rows: int, f: Any, gyro: bool, wheels: bool) -> None:
+    """Rows of z times F: the adjoint of `_model_numba.spread`."""
+    for i in range(rows):
+        _back_row(z[i], f, gyro, wheels)
+
+
+@njit(error_model="numpy")
+def _back_row(z: Any, f: Any, gyro: bool, wheels: bool) -> None:
+    x, y, th, s, phi, v, b = z[X], z[Y], z[TH], z[S], z[PHI], z[V], z[B]
     turn = th + f[PX] * x + f[PY] * y
     move = f[UX] * x + f[UY] * y + s
     if wheels:
         if gyro:
             turn += f[PHI_W] * phi
             move += f[PHI_D] * phi
-            z[i, KB] += f[PHI_KB] * phi
-            z[i, KE] += f[PHI_KE] * phi
+            z[KB] += f[PHI_KB] * phi
+            z[KE] += f[PHI_KE] * phi
         else:
             move += f[W_D] * turn
-            z[i, KB] += f[W_KB] * turn
-            z[i, KE] += f[W_KE] * turn
-        z[i, KG] += f[W_KG] * turn
-        z[i, KD] += f[KX] * x + f[KY] * y
-        z[i, BA] -= f[HB] * move + f[CBA] * v
-    z[i, TH] += f[DX] * y - f[DY] * x
-    z[i, V] = f[F] * v + f[CD] * move
-    z[i, B] = f[FB] * b + f[W_B] * turn
+            z[KB] += f[W_KB] * turn
+            z[KE] += f[W_KE] * turn
+        z[KG] += f[W_KG] * turn
+        z[KD] += f[KX] * x + f[KY] * y
+        z[BA] -= f[HB] * move + f[CBA] * v
+    z[TH] += f[DX] * y - f[DY] * x
+    z[V] = f[F] * v + f[CD] * move
+    z[B] = f[FB] * b + f[W_B] * turn
     if wheels and not gyro:
-        z[i, B] += f[PHI_W] * phi
+        z[B] += f[PHI_W] * phi
 
 
 @njit(error_model="numpy")
-def _uncorrect(lam: Any, L: Any, n: int, rec: Any, u: int, work: Any) -> None:
-    """Back through correction u: with K = gain / variance, (I - K h')' on both sides, and the reading's own word."""
-    inverse = 1.0 / rec.variance[u]
-    m, along, both = work, 0.0, 0.0
+def _uncorrect(lam: Any, L: Any, n: int, which: Any, told: Any, m: Any) -> None:
+    """Back through a correction: with K = gain / variance, (I - K h')' on both sides, and the reading's own word."""
+    inverse = 1.0 / told[VARIANCE]
+    along, both = 0.0, 0.0
     for i in range(n):
-        total = 0.0
-        for j in range(n):
-            total += L[i, j] * rec.gain[u, j]
-        m[i] = total * inverse
-        along += rec.gain[u, i] * lam[i]
+        m[i] = 0.0
+    for j in range(n):
+        gain = told[j] * inverse
+        along += told[j] * lam[j]
+        for i in range(n):
+            m[i] += L[j, i] * gain
     for i in range(n):
-        both += rec.gain[u, i] * m[i]
+        both += told[i] * m[i]
     both = (both + 1.0) * inverse
-    along = (along + rec.nu[u]) * inverse
-    for p in range(rec.count[u]):
-        k, a = rec.index[u, p], rec.value[u, p]
+    along = (along + told[NU]) * inverse
+    for p in range(which[7]):
+        k, a = which[p], told[VALUES + p]
         lam[k] -= a * along
         for j in range(n):
             L[k, j] -= a * m[j]
-    for p in range(rec.count[u]):
-        k, a = rec.index[u, p], rec.value[u, p]
+    for p in range(which[7]):
+        k, a = which[p], told[VALUES + p]
         for j in range(n):
             L[j, k] -= a * m[j]
-        for q in range(rec.count[u]):
-            L[k, rec.index[u, q]] += a * rec.value[u, q] * both
+        for q in range(which[7]):
+            L[k, which[q]] += a * told[VALUES + q] * both
 
 
 @njit(error_model="numpy")
-def _smooth_row(lam: Any, L: Any, n: int, rows: Any, row: int, out: Any, work: Any) -> None:
-    """Filtered pose, bias and covariances of a row become smoothed ones."""
+def _smooth_row(lam: Any, L: Any, n: int, P: Any, row: int, out: Any, work: Any) -> None:
+    """Filtered pose, bias and covariances of a row become smoothed ones; P (4, n) of x, y, theta, b."""
     for a in range(4):
         shift = 0.0
         for i in range(n):
-            shift += rows[a, i] * lam[i]
-        if a < 3:
-            out.pose[row, a] -= shift
-        else:
-            out.bias[row] -= shift
-        for i in range(n):
-            total = 0.0
-            for j in range(n):
-                total += L[i, j] * rows[a, j]
-            work[i] = total
-        if a == 3:
+            shift += P[a, i] * lam[i]
+            work[i] = 0.0
+        out.rows[row, a] -= shift
+        for j in range(n):
+            for i in range(n):
+                work[i] += L[j, i] * P[a, j]
+        for b in range(a + 1):
             less = 0.0
             for i in range(n):
-                less += rows[3, i] * work[i]
-            out.bias_var[row] = max(out.bias_var[row] - less, 0.0)
-        else:
-            for b in range(a + 1):
-                less = 0.0
-                for i in range(n):
-                    less += rows[b, i] * work[i]
+                less += P[b, i] * work[i]
+            if a < 3:
                 out.covariance[row, a, b] -= less
                 out.covariance[row, b, a] = out.covariance[row, a, b]
+            elif b == 3:
+                out.rows[row, 4] = max(out.rows[row, 4] - less, 0.0)
+        if a < 3:
             out.covariance[row, a, a] = max(out.covariance[row, a, a], 0.0)
+
+
+@njit(error_model="numpy")
+def _forget(lam: Any, L: Any, n: int, bits: int) -> None:
+    """An anchored state carries nothing back."""
+    for i in range(n):
+        if bits & (1 << i):
+            lam[i] = 0.0
+            for j in range(n):
+                L[i, j] = 0.0
+                L[j, i] = 0.0
+
+
+@njit(error_model="numpy")
+def _fade(lam: Any, L: Any, n: int, first: int, fade: float) -> None:
+    for i in range(first, n):
+        lam[i] *= fade
+        for j in range(n):
+            L[i, j] *= fade
+        for j in range(n):
+            L[j, i] *= fade
+
+
+@njit(error_model="numpy")
+def _unstep(lam: Any, L: Any, n: int, f: Any, gyro: bool) -> None:
+    """Back through a step: F' lambda and F' L F."""
+    _back(lam, 1, f, gyro, n > S)
+    _back(L, n, f, gyro, n > S)
+    for i in range(n):
+        for j in range(i):
+            L[i, j], L[j, i] = L[j, i], L[i, j]
+    _back(L, n, f, gyro, n > S)
 
 
 def _entry_point(digest: int) -> Callable[..., None]:
@@ -121,35 +192,14 @@ def _entry_point(digest: int) -> Callable[..., None]:
             if kind[e] == OUT:
                 row -= 1 + 0 * digest
                 _smooth_row(lam[0], L, n, rec.rows[row - row0], row, out, work)
-            for u in range(rec.first[k + 1] - 1, rec.first[k] - 1, -1):
-                _uncorrect(lam[0], L, n, rec, u, work)
-            bits = rec.forgotten[k]
-            if bits:
-                for i in range(n):
-                    if bits & (1 << i):
-                        lam[0, i] = 0.0
-                        for j in range(n):
-                            L[i, j] = 0.0
-                            L[j, i] = 0.0
-            fade = rec.fade[k]
-            if fade != 1.0:
-                for i in range(offsets, n):
-                    lam[0, i] *= fade
-                    for j in range(n):
-                        L[i, j] *= fade
-                    for j in range(n):
-                        L[j, i] *= fade
-            f = rec.parts[k]
-            if not math.isnan(f[0]):
-                wheels = n > S
-                _back(lam, 0, f, gyro, wheels)
-                for i in range(n):
-                    _back(L, i, f, gyro, wheels)
-                for i in range(n):
-                    for j in range(i):
-                        L[i, j], L[j, i] = L[j, i], L[i, j]
-                for i in range(n):
-                    _back(L, i, f, gyro, wheels)
+            for u in range(rec.marks[k + 1, 0] - 1, rec.marks[k, 0] - 1, -1):
+                _uncorrect(lam[0], L, n, rec.which[u], rec.corrections[u], work)
+            if rec.marks[k, 1]:
+                _forget(lam[0], L, n, rec.marks[k, 1])
+            if rec.parts[k, PARTS] != 1.0:
+                _fade(lam[0], L, n, offsets, rec.parts[k, PARTS])
+            if not math.isnan(rec.parts[k, 0]):
+                _unstep(lam, L, n, rec.parts[k], gyro)
 
     return walk_back
 

@@ -7,21 +7,56 @@ from typing import Any
 
 from numba import njit
 
-from core.estimation.fusion._model_numba import add3, anchor, correct_state, keep
+from core.estimation.fusion._model_numba import add3, anchor, correct_state
 from core.estimation.fusion.layout import (
-    ACCEPTED, B, CARRIED, JUMP, LEFT, NONE, PHI, REJECTED, RIGHT, S, SLIP_LEFT, SLIP_RIGHT, SLIP_TURN, STARTED, STOPPED,
-    T_STRANGE, T_TRUST, T_WHEEL, TH, TURN, V, X, Y,
+    ACCEPTED,
+    CARRIED,
+    COAST,
+    DISTANCE,
+    GATE1,
+    GATE2,
+    HAS_ACCEL,
+    HAS_GYRO,
+    INVERSE_TRACK,
+    JUMP,
+    LEFT,
+    LOST_SPEED,
+    NONE,
+    PHI,
+    R_DISTANCE,
+    R_TURN,
+    REJECTED,
+    RIGHT,
+    SLIP_LEFT,
+    SLIP_RIGHT,
+    SLIP_TURN,
+    STOP_OK,
+    STOP_SINCE,
+    STOPPED,
+    T_STRANGE,
+    T_TRUST,
+    T_WHEEL,
+    TH,
+    TURN,
+    WASH_WHEELS,
+    WHEEL_SPEED,
+    B,
+    S,
+    V,
+    X,
+    Y,
 )  # fmt: skip
 
 SLIP_TIME = 0.5  # s: for how long a wheel that was caught slipping is not asked, as slip fades below the gate
 ANYWHERE = 1.0  # m, m^2: how far a slipping wheel may have run
-STOOD = 4e-4  # m^2/s^2, of the speed of a body that is said to stand
+OWN_SLIP, SLIP_MEMORY = 0.5, 0.3  # the slower wheel's own slip, of its speed; s for which it stays alike
+STOOD, STOP_TIME = 4e-4, 0.4  # m^2/s^2, of the speed of a body that stands; s in which that must show
 
 
 @njit(error_model="numpy")
-def _loose(P: Any, left: bool, right: bool, turn: bool, c: Any) -> None:
+def _loose(P: Any, left: bool, right: bool, c: Any) -> None:
     """Doubt what a wheel should read: left is s - phi/(2 ib), right s + phi/(2 ib), of ib one over the track width."""
-    ib = c.inverse_track
+    ib = c[INVERSE_TRACK]
     if ib == 0.0:
         P[S, S] += ANYWHERE
         return
@@ -29,8 +64,6 @@ def _loose(P: Any, left: bool, right: bool, turn: bool, c: Any) -> None:
         add3(P, S, PHI, PHI, 0.5, -ib, 0.0, ANYWHERE)
     if right:
         add3(P, S, PHI, PHI, 0.5, ib, 0.0, ANYWHERE)
-    if turn and not (left or right):
-        P[PHI, PHI] += ANYWHERE * ib * ib
 
 
 @njit(error_model="numpy")
@@ -47,96 +80,123 @@ def _surge(x: Any, P: Any, nu: float, since: float) -> None:
 @njit(error_model="numpy")
 def _judge(t: float, nu: float, nu_turn: float, x: Any, P: Any, since: float, mem: Any, c: Any) -> None:
     """Both readings together are a surprise beside a gyro: which wheel slips, or is it a manoeuvre?"""
-    half = 0.5 / c.inverse_track
-    spread, cross = P[S, S] + c.r_distance + half * half * (P[PHI, PHI] + c.r_turn), 2.0 * half * P[S, PHI]
+    half = 0.5 / c[INVERSE_TRACK]
+    spread, cross = P[S, S] + c[R_DISTANCE] + half * half * (P[PHI, PHI] + c[R_TURN]), 2.0 * half * P[S, PHI]
     left, right = nu - half * nu_turn, nu + half * nu_turn
-    left_bad = left * left > c.gate1 * max(spread - cross, 1e-18)
-    right_bad = right * right > c.gate1 * max(spread + cross, 1e-18)
-    turn_bad = nu_turn * nu_turn > c.gate1 * (P[PHI, PHI] + c.r_turn)
-    alone = t - mem[T_TRUST] < c.coast  # the accelerometer can carry the speed for a while, not for ever
+    left_bad = left * left > c[GATE1] * max(spread - cross, 1e-18)
+    right_bad = right * right > c[GATE1] * max(spread + cross, 1e-18)
+    alone = t - mem[T_TRUST] < c[COAST]  # the accelerometer can carry the speed for a while, not for ever
     if left_bad and not right_bad:
         mem[SLIP_LEFT] = t + SLIP_TIME
     elif right_bad and not left_bad:
         mem[SLIP_RIGHT] = t + SLIP_TIME
-    elif c.has_accel != 0.0 and alone and left_bad:
+    elif c[HAS_ACCEL] != 0.0 and alone and left_bad:
         mem[SLIP_LEFT], mem[SLIP_RIGHT] = t + 0.1, t + 0.1
     else:
-        if turn_bad:
+        if nu_turn * nu_turn > c[GATE1] * (P[PHI, PHI] + c[R_TURN]):
             mem[SLIP_TURN] = t + SLIP_TIME
-        if nu * nu > c.gate1 * (P[S, S] + c.r_distance):
+        if nu * nu > c[GATE1] * (P[S, S] + c[R_DISTANCE]):
             _surge(x, P, nu, since)
     mem[T_STRANGE] = t
 
 
 @njit(error_model="numpy")
-def wheels(
-    t: float, a: Any, flags: int, x: Any, P: Any, n: int, mem: Any, c: Any, work: Any, nis: Any, status: Any, rec: Any,
-    record: bool, k: int,
-) -> None:  # fmt: skip
-    """Both wheels' readings: gated together, then taken one after the other."""
-    since = t - mem[T_WHEEL]
-    turning = not math.isnan(a[1])
-    forgotten = 0
-    if mem[T_WHEEL] < 0.0 or flags & JUMP:
-        x[S] = a[0]
-        anchor(P, n, S, c.r_distance)
-        x[PHI] = a[1] if turning else 0.0
-        anchor(P, n, PHI, c.r_turn)
-        forgotten = (1 << S) | (1 << PHI)
-        if mem[T_WHEEL] < 0.0:
-            mem[T_TRUST] = t
-        else:
-            nis[0], status[0], status[1] = 0.0, REJECTED, REJECTED if turning else NONE
-    else:
-        _weigh(t, a, flags, turning, since, x, P, mem, c, nis, status)
-    mem[T_WHEEL] = t
-    if record:
-        rec.forgotten[k] |= forgotten
-    nu, g = a[0] - x[S], work[0]
-    variance = correct_state(x, P, n, S, nu, c.r_distance, g)
-    keep(rec, record, S, g, n, nu, variance)
-    if turning:
-        nu = a[1] - x[PHI]
-        variance = correct_state(x, P, n, PHI, nu, c.r_turn, g)
-        keep(rec, record, PHI, g, n, nu, variance)
-    if flags & STOPPED:
-        nu = -x[V]
-        variance = correct_state(x, P, n, V, nu, STOOD, g)
-        keep(rec, record, V, g, n, nu, variance)
+def _stands(t: float, flags: int, mem: Any, c: Any) -> bool:
+    """Whether a body that is said to stand does: steady driving looks like a standstill to an IMU, so the accelerometer
+    must have felt how the wheels' speed was lost, at about the time of which it is said."""
+    if flags & STOPPED == 0:
+        mem[STOP_SINCE], mem[STOP_OK] = -1.0, 0.0
+        return False
+    if mem[STOP_SINCE] < 0.0:
+        mem[STOP_SINCE] = t
+    lost = -mem[LOST_SPEED] * math.copysign(1.0, mem[WHEEL_SPEED])
+    if t - mem[STOP_SINCE] <= STOP_TIME and (lost > 0.5 * abs(mem[WHEEL_SPEED]) or c[HAS_ACCEL] == 0.0):
+        mem[STOP_OK] = 1.0
+    return mem[STOP_OK] != 0.0
 
 
 @njit(error_model="numpy")
-def _weigh(
-    t: float, a: Any, flags: int, turning: bool, since: float, x: Any, P: Any, mem: Any, c: Any, nis: Any, status: Any
+def _test(
+    t: float, nu: float, nu_turn: float, turning: bool, x: Any, P: Any, since: float, mem: Any, c: Any
 ) -> None:
-    """Test both readings; doubt what is not to be believed before they are taken."""
-    nu = a[0] - x[S]
-    nis[0] = nu * nu / (P[S, S] + c.r_distance)
-    witness = turning and c.has_gyro != 0.0
-    if turning:
-        nu_turn = a[1] - x[PHI]
-        nis[1] = nu_turn * nu_turn / (P[PHI, PHI] + c.r_turn)
-    known = flags & (LEFT | RIGHT | TURN | STOPPED | CARRIED)
-    if known:
-        mem[T_STRANGE] = t
-    elif witness:
-        s00, s11, s01 = P[S, S] + c.r_distance, P[PHI, PHI] + c.r_turn, P[S, PHI]
+    """Are the readings a surprise?"""
+    if turning and c[HAS_GYRO] != 0.0:
+        s00, s11, s01 = P[S, S] + c[R_DISTANCE], P[PHI, PHI] + c[R_TURN], P[S, PHI]
         both = (nu * nu * s11 - 2.0 * nu * nu_turn * s01 + nu_turn * nu_turn * s00) / max(s00 * s11 - s01 * s01, 1e-30)
-        if both > c.gate2:
+        if both > c[GATE2]:
             _judge(t, nu, nu_turn, x, P, since, mem, c)
-    else:
-        if nis[0] > c.gate1:
-            _surge(x, P, nu, since)
-        if turning and nis[1] > c.gate1:
-            add3(P, TH, PHI, B, 1.0, 1.0, -1.0 / max(since, 1e-3), nu_turn * nu_turn)
-    stands = flags & (STOPPED | CARRIED) != 0
-    left = flags & LEFT != 0 or mem[SLIP_LEFT] > t or stands
-    right = flags & RIGHT != 0 or mem[SLIP_RIGHT] > t or stands
-    turn = flags & TURN != 0 or mem[SLIP_TURN] > t
-    if left or right or turn:
-        _loose(P, left, right, turn, c)
-    if not (left and right) and not (c.inverse_track == 0.0 and (left or right)):
+        return
+    if nu * nu > c[GATE1] * (P[S, S] + c[R_DISTANCE]):
+        _surge(x, P, nu, since)
+    if turning and nu_turn * nu_turn > c[GATE1] * (P[PHI, PHI] + c[R_TURN]):
+        add3(P, TH, PHI, B, 1.0, 1.0, -1.0 / max(since, 1e-3), nu_turn * nu_turn)
+
+
+@njit(error_model="numpy")
+def _slower(
+    d: float, nu_turn: float, since: float, x: Any, P: Any, n: int, c: Any, g: Any, rec: Any, k: int
+) -> None:
+    """Wheels that contradict the gyro's turn, and nobody knows which: a driven wheel that slips runs ahead, so the speed
+    is near that of the slower one, which may slip as well."""
+    more = abs(0.5 / c[INVERSE_TRACK] * nu_turn)
+    slow = math.copysign(max(abs(d) - more, 0.0), d) / since
+    sd = OWN_SLIP * max(abs(slow), more / since) + 0.02
+    correct_state(x, P, n, V, slow - x[V], sd * sd * max(SLIP_MEMORY / since, 1.0), g, rec, k)
+
+
+@njit(error_model="numpy")
+def _begin(t: float, a: Any, turning: bool, x: Any, P: Any, n: int, c: Any) -> None:
+    """The first readings, or those after a counter's jump, say nothing but where the counters stand."""
+    x[S] = a[0]
+    anchor(P, n, S, c[R_DISTANCE])
+    x[PHI] = a[1] if turning else 0.0
+    anchor(P, n, PHI, c[R_TURN])
+
+
+@njit(error_model="numpy")
+def wheels(
+    t: float, a: Any, flags: int, x: Any, P: Any, n: int, mem: Any, c: Any, g: Any, out: Any, e: int, rec: Any, k: int
+) -> None:
+    """Both wheels' readings: tested together, then taken one after the other; what is not to be believed is doubted
+    first, so that it says nothing."""
+    since, turning, first = t - mem[T_WHEEL], not math.isnan(a[1]), mem[T_WHEEL] < 0.0
+    left, right, turn, stands, nu_turn = False, False, False, False, 0.0
+    if first or flags & JUMP:
+        _begin(t, a, turning, x, P, n, c)
+        if k >= 0:
+            rec.marks[k, 1] = (1 << S) | (1 << PHI)
+        if not first:
+            out.nis[e, 0], left, right = 0.0, True, True
         mem[T_TRUST] = t
-    status[0] = REJECTED if left or right else ACCEPTED
+    else:
+        nu = a[0] - x[S]
+        out.nis[e, 0] = nu * nu / (P[S, S] + c[R_DISTANCE])
+        if turning:
+            nu_turn = a[1] - x[PHI]
+            out.nis[e, 1] = nu_turn * nu_turn / (P[PHI, PHI] + c[R_TURN])
+        stands = _stands(t, flags, mem, c)
+        said = flags & (LEFT | RIGHT | TURN) != 0 and (stands or flags & STOPPED == 0 or t - mem[STOP_SINCE] < STOP_TIME)
+        if not said and flags & CARRIED == 0:
+            _test(t, nu, nu_turn, turning, x, P, since, mem, c)
+        out_of_use = flags & CARRIED != 0 or stands
+        left = (said and flags & LEFT != 0) or mem[SLIP_LEFT] > t or out_of_use
+        right = (said and flags & RIGHT != 0) or mem[SLIP_RIGHT] > t or out_of_use
+        turn = (said and flags & TURN != 0) or mem[SLIP_TURN] > t
+        turn = turn and turning and c[HAS_GYRO] != 0.0 and not (left or right)
+        if left or right or turn:
+            _loose(P, left or turn, right or turn, c)
+        if not (left and right) and (c[INVERSE_TRACK] > 0.0 or not (left or right)):
+            mem[T_TRUST] = t
+    out.status[e, 0] = REJECTED if left or right or turn else (NONE if first else ACCEPTED)
     if turning:
-        status[1] = REJECTED if left or right or turn else ACCEPTED
+        out.status[e, 1] = out.status[e, 0]
+    correct_state(x, P, n, S, a[0] - x[S], c[R_DISTANCE], g, rec, k)
+    if turning:
+        correct_state(x, P, n, PHI, a[1] - x[PHI], c[R_TURN], g, rec, k)
+    if turn:
+        _slower(a[0] - mem[DISTANCE], nu_turn, max(since, 1e-3), x, P, n, c, g, rec, k)
+    elif stands:
+        correct_state(x, P, n, V, -x[V], STOOD, g, rec, k)
+    speed = (a[0] - mem[DISTANCE]) / max(since, 1e-3) if not first and flags & JUMP == 0 else mem[WHEEL_SPEED]
+    mem[WASH_WHEELS] += speed - mem[WHEEL_SPEED]
+    mem[T_WHEEL], mem[DISTANCE], mem[WHEEL_SPEED] = t, a[0], speed

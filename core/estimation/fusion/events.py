@@ -14,15 +14,16 @@ import numpy.typing as npt
 
 from core.estimation.assumptions import Assumptions
 from core.estimation.cleaning import finite_rows, forward_acceleration, gyro_readings
-from core.estimation.fusion.layout import BR, FIX, JUMP, KR, N, OUT, RANGE, REST, WHEEL, Readings
+from core.estimation.fusion.layout import BR, FIX, JUMP, KR, OUT, RANGE, REST, STILL, WHEEL, N, Readings
 from core.estimation.odometry import WheelPath, wheel_path
-from core.estimation.rest import Rest
+from core.estimation.rest import Rest, wheels_still
 from core.run import Run
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 SILENCE = 0.3  # s
+STANDING = 0.15  # s for which no wheel has turned
 FARTHEST = 1e6  # m: a fix or range beyond it is no reading
 
 
@@ -50,7 +51,7 @@ class Events:
         """(E,) whether an event is of one of these kinds."""
         return np.isin(self.kind, kinds)
 
-    def kept(self, rows: Flags) -> Events:
+    def kept(self, rows: Flags | slice) -> Events:
         """Only these events; rows of OUT are never dropped by callers."""
         return dataclasses.replace(
             self, t=self.t[rows], kind=self.kind[rows], data=self.data[rows], flags=self.flags[rows]
@@ -88,6 +89,7 @@ def merge(run: Run, numbers: Assumptions, rest: Rest | None) -> Events:
     order = np.argsort(t, kind="stable")  # kinds stand in their order already
     data = np.concatenate([p[2] for p in parts])[order]
     flags = np.concatenate([p[3] for p in parts])[order]
+    flags |= np.where(wheels_still(wheels, t[order], STANDING), STILL, 0)
     silence = max(SILENCE, 5.0 * float(np.median(np.diff(path.t))))
     return Events(t[order], kind[order], data, flags, out_t, first, names, silence, notes)
 

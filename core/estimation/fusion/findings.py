@@ -7,7 +7,22 @@ import numpy.typing as npt
 
 from core.estimation.fusion.events import Events
 from core.estimation.fusion.layout import (
-    ACCEPTED, BA, BR, DT, FIX, KB, KD, KE, KG, KR, NONE, RANGE, REJECTED, RELOCATED, WHEEL,
+    ACCEPTED,
+    BA,
+    BR,
+    DT,
+    FIX,
+    KB,
+    KD,
+    KE,
+    KG,
+    KR,
+    NONE,
+    RANGE,
+    REJECTED,
+    RELOCATED,
+    STILL,
+    WHEEL,
 )  # fmt: skip
 from core.estimation.fusion.walk import Problem, Walk
 from core.estimation.result import Event, Innovations, Value
@@ -15,6 +30,8 @@ from core.estimation.result import Event, Innovations, Value
 Array = npt.NDArray[np.float64]
 
 LOSS_FACTOR, LOSS_FLOOR = 5.0, 1.0  # a beacon is lost after this many typical steps, and this many seconds at least
+LIE_FIXES = 4
+CARRIED_FAR = 0.15  # m
 LEARNT = 0.9  # of its first sd: a parameter that keeps more has not been shown by the run
 WORDS = {FIX: "fixes", RANGE: "ranges"}
 
@@ -55,9 +72,25 @@ def innovations(events: Events, walked: Walk) -> dict[str, Innovations]:
     return found
 
 
-def beacon_events(events: Events, walked: Walk) -> tuple[Event, ...]:
-    """Beacon lost, beacon lying, robot found elsewhere: what the innovations show."""
-    return (*_losses(events, walked), *_moves(events, walked))
+def all_events(events: Events, walked: Walk, disturbed: tuple[Event, ...]) -> tuple[Event, ...]:
+    """What disturbed the robot, and what the innovations show: beacon lost, beacon lying, robot found elsewhere."""
+    carried = [_carried(event, events, walked) for event in disturbed]
+    others = (*_losses(events, walked), *_lies(events, walked), *_moves(events, walked, disturbed))
+    return tuple(sorted((*(c or e for c, e in zip(carried, disturbed, strict=True)), *others), key=lambda e: e.t0))
+
+
+def _carried(event: Event, events: Events, walked: Walk) -> Event | None:
+    """The event as a kidnapping, where the robot was elsewhere after it and its wheels had not turned."""
+    at = np.clip(np.searchsorted(events.out, (event.t0 - 0.2, event.t1 + 0.3)), 0, len(events.out) - 1)
+    inside = (events.t > event.t0 + 0.3) & (events.t < event.t1 - 0.1)
+    if not inside.any() or np.mean(events.flags[inside] & STILL != 0) < 0.9:
+        return None
+    moved = walked.pose[at[1]] - walked.pose[at[0]]
+    far = float(np.hypot(moved[0], moved[1]))
+    if far < CARRIED_FAR:
+        return None
+    why = f"{far:.2f} m and {moved[2]:+.2f} rad elsewhere while no wheel turned; {event.evidence}"
+    return Event("kidnap", event.t0, event.t1, evidence=why, replaced="fixes replaced wheels and accelerometer")
 
 
 def _losses(events: Events, walked: Walk) -> list[Event]:
@@ -81,14 +114,35 @@ def _losses(events: Events, walked: Walk) -> list[Event]:
     return found
 
 
-def _moves(events: Events, walked: Walk) -> list[Event]:
-    """Where the pose was given up for what many refused fixes agreed on: since the last accepted fix."""
+def _lies(events: Events, walked: Walk) -> list[Event]:
+    """Stretches of refused fixes, LIE_FIXES of them at least, with no more than one accepted in between."""
+    rows = np.flatnonzero(events.kind == FIX)
+    bad, t = walked.status[rows, 0] == REJECTED, events.t[rows]
+    at = np.flatnonzero(bad)
+    if at.size < LIE_FIXES:
+        return []
+    cuts = np.flatnonzero(np.diff(at) > 2)
+    first, last = np.concatenate(([0], cuts + 1)), np.concatenate((cuts, [at.size - 1]))
+    return [
+        Event(
+            "beacon_lying", float(t[at[a]]), float(t[at[b]]), evidence=f"{b - a + 1} fixes refused in a row",
+            replaced="wheels and IMU carry the path",
+        )
+        for a, b in zip(first, last, strict=True) if b - a + 1 >= LIE_FIXES
+    ]  # fmt: skip
+
+
+def _moves(events: Events, walked: Walk, disturbed: tuple[Event, ...]) -> list[Event]:
+    """Where the pose was given up for what many refused fixes agreed on: a kidnapping, unless something else that is
+    known to have happened since the last accepted fix explains it."""
     fixes = np.flatnonzero(events.kind == FIX)
     status, t = walked.status[fixes, 0], events.t[fixes]
     found = []
     for i in np.flatnonzero(status == RELOCATED):
         before = np.flatnonzero(status[:i] != REJECTED)
         a = float(t[before[-1]]) if before.size else float(t[0])
+        if any(e.t0 < t[i] and e.t1 > a - 1.0 for e in disturbed):
+            continue
         why = f"{int(np.sum(status[:i][t[:i] > a] == REJECTED))} fixes agreed on another place"
         found.append(Event("kidnap", a, float(t[i]), evidence=why, replaced="the fixes replaced the path"))
     return found

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from core.estimation.assumptions import Assumptions, Config, assume
 from core.estimation.events import Disturbances, detect
 from core.estimation.fusion.events import Events, merge
-from core.estimation.fusion.findings import beacon_events, findings, innovations, parameters
+from core.estimation.fusion.findings import all_events, findings, innovations, parameters
 from core.estimation.fusion.layout import FIX, RANGE
 from core.estimation.fusion.noise import learn, trusted_turns
 from core.estimation.fusion.start import Start, find_start
@@ -90,13 +90,12 @@ def _reckoned(events: Events, walked: Walk) -> Trajectory:
 
 def _estimate(method: str, ready: Prepared, path: Walk, forward: Walk) -> Estimate:
     t, pose = ready.events.out, path.pose
-    events = (*ready.disturbances.events, *beacon_events(ready.events, forward))
     return Estimate(
         method,
         Trajectory(t, pose[:, 0], pose[:, 1], pose[:, 2], path.covariance),
         gyro_bias=Curve(t, path.bias, np.sqrt(path.bias_var)) if ready.rest is not None else None,
         parameters=parameters(ready.events, forward),
-        events=tuple(sorted(events, key=lambda event: event.t0)),
+        events=all_events(ready.events, forward, ready.disturbances.events),
         innovations=innovations(ready.events, forward),
         notes=(*ready.notes, *findings(ready.events, ready.problem, forward)),
     )

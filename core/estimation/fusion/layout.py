@@ -52,6 +52,7 @@ class Constants(NamedTuple):
     q_scale: float
     q_slip: float
     q_side: float
+    q_slide: float  # of the position, while a wheel slips
     q_carried: float  # of the position, while something moves the robot
     q_carried_turn: float
     r_distance: float
@@ -74,24 +75,35 @@ class Constants(NamedTuple):
     coast: float  # s without trusted wheels, for which the accelerometer carries the speed
 
 
+(
+    HAS_GYRO, HAS_ACCEL, INVERSE_TRACK, TAG_X, TAG_Y, TAG_Z, TAU, SILENCE, HOLD, Q_PAUSE, Q_SPEED, Q_ACCEL,
+    Q_TILT, Q_TURN, Q_GYRO, Q_BIAS, Q_SCALE, Q_SLIP, Q_SIDE, Q_SLIDE, Q_CARRIED, Q_CARRIED_TURN, R_DISTANCE, R_TURN,
+    R_RATE, R_STILL, R_FIX, R_FIX_THETA, R_RANGE, OFFSET_VAR, OFFSET_TAU, FIRST_OFFSET, GATE1, GATE2, GATE3,
+    PATIENCE, PATIENCE_REST, STUBBORN, LEAP, COAST,
+) = range(40)  # fmt: skip
+"""Places of the constants in the array that the compiled filter takes."""
 
 WHEEL, FIX, RANGE, OUT = range(4)
 """Kinds of event, in the order they are taken at equal stamps. Their data (5,): WHEEL distance [m], turn [rad] (NaN:
 unknown), both cumulative; FIX x, y, theta or NaN, state of its lasting error in x (0: none); RANGE beacon's x, y, z,
 range, state of its lasting error; OUT, where a pose is asked for: gyro [rad/s], acceleration forward [m/s^2]."""
 
-REST, JUMP, LEFT, RIGHT, TURN, ACCEL, STOPPED, CARRIED = (1 << i for i in range(8))
+REST, JUMP, LEFT, RIGHT, TURN, ACCEL, STOPPED, CARRIED, STILL = (1 << i for i in range(9))
 """Flags of an event: at rest; the counter has jumped; left, right wheel, their difference, accelerometer not to be
-believed; the body stands still whatever the wheels say; something else than the wheels moves the robot."""
+believed; the body stands still whatever the wheels say; something else than the wheels moves the robot; no
+wheel has turned for a while."""
+SLIPPING = LEFT | RIGHT | TURN | STOPPED
+STRANGE = LEFT | RIGHT | TURN | ACCEL | STOPPED | CARRIED
 
 NONE, ACCEPTED, REJECTED, RELOCATED = range(4)
 """Status of a reading; after RELOCATED the filter has given up its pose for what many refused fixes agree on."""
 
-MEMORY = 24 + N
+MEMORY = 32 + N
 (
     T, T_IMU, GZ, AX, TURNED, SPED, UNSEEN, T_WHEEL, T_TRUST, STARTED, RESTING, REFUSED_REST, SLIP_LEFT, SLIP_RIGHT,
-    SLIP_TURN, T_FIX, REFUSED, ONSET, LEAPT, T_STRANGE, T_OFFSET, REFUSED_RANGES, DRIVEN, AGREED,
-) = range(24)  # fmt: skip
+    SLIP_TURN, T_FIX, REFUSED, ONSET, LEAPT, T_STRANGE, T_OFFSET, REFUSED_RANGES, DRIVEN, AGREED, DISTANCE,
+    STOP_SINCE, STOP_OK, WASH_IMU, WASH_WHEELS, WHEEL_SPEED, LOST_SPEED, T_LOST,
+) = range(32)  # fmt: skip
 """What the filter remembers beside its state: stamps, what of the gyro's step is used up, counters. The last N are the
 rejections in a row of each lasting error's beacon. Stamps are -1 before there is one."""
 
@@ -102,56 +114,39 @@ SEEN = 6  # of each: x, y, theta of the robot as believed, and the fix
 class Records(NamedTuple):
     """What the smoother needs of a stretch of K events, R rows and U corrections; of one element where it is not kept.
 
-    parts (K, PARTS): of each step's Jacobian, NaN in the first where no time passed; fade (K,) of lasting errors;
-    forgotten (K,): bits of the states that were anchored after the step; first (K + 1,): corrections before each event;
-    index, value (U, 7), count (U,): rows h; gain (U, N) P h; nu, variance (U,); rows (R, 4, N): P of x, y, theta, b.
+    parts (K, PARTS + 1): of each step's Jacobian, NaN in the first where no time passed; last, the fade of lasting
+    errors. marks (K + 1, 2): corrections before each event; bits of the states that were anchored after the step.
+    which (U, 8): states of row h, last how many. corrections (U, N + 9): P h, values of h, innovation, its variance.
+    rows (R, 4, N): P of x, y, theta, b.
     """
 
     parts: Any
-    fade: Any
-    forgotten: Any
-    first: Any
-    index: Any
-    value: Any
-    count: Any
-    gain: Any
-    nu: Any
-    variance: Any
+    marks: Any
+    which: Any
+    corrections: Any
     rows: Any
-    used: Any  # (1,) corrections so far
+
+
+VALUES, NU, VARIANCE = N, N + 7, N + 8  # columns of corrections
 
 
 def records(events: int, rows: int) -> Records:
     """Room for the records of a stretch, or of none."""
     k, r, u = max(events, 1), max(rows, 1), max(5 * events, 1)
     return Records(
-        np.zeros((k, PARTS)), np.ones(k), np.zeros(k, np.int64), np.zeros(k + 1, np.int64), np.zeros((u, 7), np.int64),
-        np.zeros((u, 7)), np.zeros(u, np.int64), np.zeros((u, N)), np.zeros(u), np.zeros(u), np.zeros((r, 4, N)),
-        np.zeros(1, np.int64),
+        np.zeros((k, PARTS + 1)), np.zeros((k + 1, 2), np.int64), np.zeros((u, 8), np.int64), np.zeros((u, N + 9)),
+        np.zeros((r, 4, N)),
     )  # fmt: skip
 
 
-class Scratch(NamedTuple):
-    """Room for the rows of an event's readings, used again and again."""
-
-    g: Any  # (3, N)
-    old: Any  # (N,)
-    index: Any  # (3, 7)
-    value: Any
-    count: Any  # (3,)
-    nu: Any
-    r: Any
-
-
 class Tracks(NamedTuple):
-    """What the filter writes: nis, status (E, 2) per event; pose (M, 3), covariance (M, 3, 3), bias, bias_var (M,)."""
+    """What the filter writes: nis, status (E, 2) per event; rows (M, 5) of x, y, theta, bias and its variance, and
+    covariance (M, 3, 3) per OUT event."""
 
     nis: Any
     status: Any
-    pose: Any
+    rows: Any
     covariance: Any
-    bias: Any
-    bias_var: Any
 
 
 class Readings(NamedTuple):

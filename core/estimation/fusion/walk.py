@@ -15,11 +15,46 @@ import numpy.typing as npt
 
 from core.estimation.assumptions import Assumptions, encoder_quantum
 from core.estimation.events import Disturbances, Flags
-from core.estimation.events.disturbances import PUSHED
 from core.estimation.fusion.events import Events
 from core.estimation.fusion.layout import (
-    ACCEL, B, BA, BR, CARRIED, DT, FIX, KB, KD, KE, KG, KR, LEFT, MEMORY, N, OUT, PAST, PHI, RANGE, RIGHT, SEEN, STARTED,
-    STOPPED, S, T, T_FIX, T_IMU, T_OFFSET, T_STRANGE, T_TRUST, T_WHEEL, TURN, Constants, Records, Tracks, V, records,
+    ACCEL,
+    BA,
+    BR,
+    CARRIED,
+    DT,
+    FIX,
+    HAS_GYRO,
+    KB,
+    KD,
+    KE,
+    KG,
+    KR,
+    LEFT,
+    MEMORY,
+    PAST,
+    PHI,
+    RANGE,
+    RIGHT,
+    SEEN,
+    STARTED,
+    STILL,
+    STOPPED,
+    STRANGE,
+    T_FIX,
+    T_IMU,
+    T_OFFSET,
+    T_STRANGE,
+    T_TRUST,
+    T_WHEEL,
+    TURN,
+    B,
+    Constants,
+    N,
+    Records,
+    T,
+    Tracks,
+    V,
+    records,
 )  # fmt: skip
 from core.estimation.fusion.start import Start
 from core.estimation.odometry import chi2_gate, longest_hold
@@ -67,7 +102,7 @@ class Problem:
     """A filter ready to walk: n states in use, the numbers of the run, the state that it begins with."""
 
     n: int
-    constants: Constants
+    constants: Array  # of `Constants`
     begin: State
 
     def step(self, events: Events, begin: int, end: int, state: State, out: Tracks, rec: Records | None = None) -> None:
@@ -126,7 +161,7 @@ def has_accelerometer(run: Run, rest: Rest | None) -> bool:
     return rest is not None and imu is not None and imu.ax is not None and bool(np.isfinite(imu.ax).any())
 
 
-def _constants(run: Run, events: Events, numbers: Assumptions, rest: Rest | None) -> Constants:
+def _constants(run: Run, events: Events, numbers: Assumptions, rest: Rest | None) -> Array:
     robot = run.meta.robot
     quantum = encoder_quantum(run, numbers) * float(robot.wheel_radius or 0.0)
     inverse_track = 1.0 / robot.track_width if robot.track_width else 0.0
@@ -152,6 +187,7 @@ def _constants(run: Run, events: Events, numbers: Assumptions, rest: Rest | None
         q_scale=numbers.parameter_walk**2,
         q_slip=numbers.slip**2,
         q_side=numbers.side_slip**2,
+        q_slide=numbers.slide**2,
         q_carried=numbers.carried**2,
         q_carried_turn=numbers.carried_turn**2,
         r_distance=quantum**2 / 24,
@@ -173,19 +209,18 @@ def _constants(run: Run, events: Events, numbers: Assumptions, rest: Rest | None
         leap=numbers.leap,
         coast=numbers.coast,
     )
-    return Constants(*(float(value) for value in constants))  # one type, so that it is compiled once
+    return np.array(constants, np.float64)
 
 
 def tracks(events: Events) -> Tracks:
     """Room for what a walk over the events writes."""
     e, m = len(events.t), len(events.out)
-    return Tracks(
-        np.full((e, 2), np.nan), np.zeros((e, 2), np.int8), np.empty((m, 3)), np.empty((m, 3, 3)), np.empty(m), np.empty(m)
-    )
+    return Tracks(np.full((e, 2), np.nan), np.zeros((e, 2), np.int8), np.empty((m, 5)), np.empty((m, 3, 3)))
 
 
 def _walked(out: Tracks, state: State) -> Walk:
-    return Walk(out.nis, out.status, out.pose, out.covariance, out.bias, out.bias_var, state.x, state.P)
+    rows = out.rows
+    return Walk(out.nis, out.status, rows[:, :3], out.covariance, rows[:, 3], rows[:, 4], state.x, state.P)
 
 
 def walk(p: Problem, events: Events, disturbances: Disturbances | None = None) -> Walk:
@@ -194,7 +229,7 @@ def walk(p: Problem, events: Events, disturbances: Disturbances | None = None) -
     if disturbances is None or not disturbances.found:
         p.step(events, 0, end, state, out)
         return _walked(out, state)
-    live, aside = flagged(events, disturbances.live(events.t), _pushes(disturbances).live(events.t)), tracks(events)
+    live, aside = flagged(events, disturbances.live(events.t)), tracks(events)
     onset = np.searchsorted(events.t, [d.t0 for d in disturbances.found], "left")
     alarm = np.searchsorted(events.t, [d.alarm for d in disturbances.found], "left")
     saved: dict[int, State] = {}
@@ -216,8 +251,8 @@ def _tell(live: Events, disturbances: Disturbances, begin: int, stop: int) -> No
     now = live.t[min(stop, len(live.t) - 1)]
     known = [d for d in disturbances.found if d.alarm <= now]
     dated = tuple(dataclasses.replace(d, t1=d.t1 if d.release <= now else np.inf) for d in known)
-    told, t = Disturbances(dated), live.t[begin:stop]
-    live.flags[begin:stop] |= _bits(told.dated(t), _pushes(told).dated(t))
+    span = live.kept(slice(begin, stop))
+    live.flags[begin:stop] = flagged(span, Disturbances(dated).dated(span.t)).flags
 
 
 def _again(p: Problem, live: Events, saved: dict[int, State], begin: int, stop: int, aside: Tracks) -> State:
@@ -230,25 +265,18 @@ def _again(p: Problem, live: Events, saved: dict[int, State], begin: int, stop: 
     return state
 
 
-def flagged(events: Events, flags: Flags, pushes: Flags) -> Events:
-    """The events with what is not to be believed marked."""
-    return dataclasses.replace(events, flags=events.flags | _bits(flags, pushes))
-
-
-def _pushes(disturbances: Disturbances) -> Disturbances:
-    """Those in which something else than the wheels moves the robot; all of them marked as `stopped`."""
-    return Disturbances(tuple(dataclasses.replace(d, stopped=True) for d in disturbances.found if d.kind == PUSHED))
-
-
-def _bits(flags: Flags, pushes: Flags) -> npt.NDArray[np.int64]:
-    bits = np.zeros(len(flags.left), np.int64)
+def flagged(events: Events, flags: Flags) -> Events:
+    """The events with what is not to be believed marked. Where something happens while the wheels stand, something else
+    than the wheels moves the robot."""
+    bits = events.flags.copy()
     pairs = (
         (flags.left, LEFT), (flags.right, RIGHT), (flags.turn, TURN), (flags.accelerometer, ACCEL),
-        (flags.stopped, STOPPED), (pushes.stopped, CARRIED),
+        (flags.stopped, STOPPED),
     )  # fmt: skip
     for column, bit in pairs:
         bits[column] |= bit
-    return bits
+    bits[(bits & STRANGE != 0) & (bits & STILL != 0)] |= CARRIED
+    return dataclasses.replace(events, flags=bits)
 
 
 def smooth(p: Problem, events: Events, disturbances: Disturbances | None = None) -> tuple[Walk, Walk]:
@@ -256,23 +284,18 @@ def smooth(p: Problem, events: Events, disturbances: Disturbances | None = None)
     from core.estimation.fusion._smoother_numba import walk_back
 
     if disturbances is not None:
-        events = flagged(events, disturbances.dated(events.t), _pushes(disturbances).dated(events.t))
+        events = flagged(events, disturbances.dated(events.t))
     out, state, end = tracks(events), p.begin.copy(), len(events.t)
     cuts = list(range(0, end, STRETCH))
     saved = []
     for cut in cuts:
         saved.append(state.copy())
         p.step(events, cut, min(cut + STRETCH, end), state, out)
-    forward = Walk(
-        out.nis, out.status, out.pose.copy(), out.covariance.copy(), out.bias.copy(), out.bias_var.copy(), state.x, state.P
-    )
-    lam, L, gyro = np.zeros((1, N)), np.zeros((N, N)), p.constants.has_gyro != 0.0
+    forward = _walked(out._replace(rows=out.rows.copy(), covariance=out.covariance.copy()), state)
+    lam, L, gyro = np.zeros((1, N)), np.zeros((N, N)), bool(p.constants[HAS_GYRO])
     rec = records(STRETCH, STRETCH)
     for cut, begun in zip(cuts[::-1], saved[::-1], strict=True):
         last, first_row = min(cut + STRETCH, end), begun.row
-        rec.used[0] = 0
-        rec.fade[:] = 1.0
-        rec.forgotten[:] = 0
         p.step(events, cut, last, begun, out, rec)
         walk_back(cut, last, begun.row, first_row, events.kind, lam, L, p.n, gyro, events.first_offset, rec, out)
     return forward, _walked(out, state)
