@@ -14,7 +14,7 @@ from core.errors import MissingStreamError, ParameterError
 from core.estimation import needs
 from core.estimation.assumptions import Config
 from core.estimation.beacon import beacon
-from core.estimation.fusion.fused import fused
+from core.estimation.fusion.fused import fused, smoothed
 from core.estimation.odometry import encoders, encoders_gyro
 from core.estimation.published import missing as missing_for_published
 from core.estimation.published import published
@@ -88,6 +88,16 @@ METHODS: dict[str, Method] = {
             summary="Error-state Kalman filter of all sensors, with gyro bias and scales.",
             missing=needs.for_fused,
             run=fused,
+        ),
+        Method(
+            name="smoothed",
+            label="Smoothed",
+            needs="as fused",
+            causal=False,
+            source="Bierman 1973; Rauch, Tung, Striebel 1965",
+            summary="The fused filter walked back from its end: each pose by the whole run.",
+            missing=needs.for_fused,
+            run=smoothed,
         ),
     )
 }
