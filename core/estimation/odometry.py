@@ -7,13 +7,14 @@ covariance grows by the encoder's step and by a share of the distance; nothing i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from core.estimation.assumptions import Assumptions, Config, assume, encoder_quantum
 from core.estimation.cleaning import gyro_readings, wheel_readings
+from core.estimation.events import detect
 from core.estimation.rest import at_rest
 from core.estimation.result import Curve, Estimate
 from core.run import Run
@@ -182,6 +183,7 @@ def encoders_gyro(run: Run, config: Config | None = None) -> Estimate:
         "encoders+gyro",
         Trajectory(imu.t, pose[:, 0], pose[:, 1], pose[:, 2], covariance),
         gyro_bias=Curve(imu.t, bias, np.sqrt(bias_var)),
+        events=tuple(replace(event, replaced="") for event in detect(run, numbers).events),  # seen, not acted upon
         notes=(*start_notes, *notes),
     )
 

@@ -44,8 +44,8 @@ class Limits(NamedTuple):
     floor_rate: float  # rad/s, per sample
 
 
-@njit(error_model="numpy", cache=True)
-def _learn(noise: Any, weight: Any, b: int, k: int, square: float, floor: float, dt: float, memory: float) -> float:
+@njit(error_model="numpy")
+def _learn(noise: Any, weight: Any, b: int, k: Any, square: float, floor: float, dt: float, memory: float) -> float:
     v = max(noise[b, k], floor)
     rate = min(max(dt / memory, dt / (weight[b, k] + dt)), 1.0)
     noise[b, k] += rate * (min(square, OUTLIER * v) * 1.09 - noise[b, k])
@@ -53,8 +53,8 @@ def _learn(noise: Any, weight: Any, b: int, k: int, square: float, floor: float,
     return v
 
 
-@njit(error_model="numpy", cache=True)
-def _windows(n: int, head: int, ring: Any, out: Any) -> None:
+@njit(error_model="numpy")
+def _windows(n: Any, head: int, ring: Any, out: Any) -> None:
     """Over the ring: the blow's two speeds, mean squares of az and rates, short and long, peaks within SHORT."""
     for j in range(10):
         out[j] = 0.0
@@ -79,29 +79,29 @@ def _windows(n: int, head: int, ring: Any, out: Any) -> None:
     out[4], out[5] = out[4] / max(long, 1), out[5] / max(long, 1)
 
 
-@njit(error_model="numpy", cache=True)
-def _begin(n: int, head: int, ring: Any, up: bool, sigma: float) -> float:
-    """When it began: going back from now, the earliest loud sample with no calm of 50 ms in between."""
+@njit(error_model="numpy")
+def _begin(n: Any, head: int, ring: Any, axis: float, sigma: float) -> float:
+    """When it began: the first loud sample with no 50 ms of calm since; axis 3 is up, else the plane."""
     now = ring[head, 0]
     peak = 0.0
     for k in range(n):
         row = ring[(head - k) % RING]
         if now - row[0] > 0.2:
             break
-        peak = max(peak, abs(row[3]) if up else math.hypot(row[1], row[2]))
+        peak = max(peak, abs(row[3]) if axis > 2.5 else math.hypot(row[1], row[2]))
     level = max(3.0 * sigma, 0.15 * peak)
     begin = loud = now
     for k in range(n):
         row = ring[(head - k) % RING]
         if now - row[0] > 0.3 or loud - row[0] > 0.05:
             break
-        if (abs(row[3]) if up else math.hypot(row[1], row[2])) > level:
+        if (abs(row[3]) if axis > 2.5 else math.hypot(row[1], row[2])) > level:
             begin, loud = row[0] - row[5], row[0]
     return begin
 
 
-@njit(error_model="numpy", cache=True)
-def _follow(o: int, t: float, loud: bool, stat: float, now: Any, s: Any, found: Any, n: int) -> int:
+@njit(error_model="numpy")
+def _follow(o: Any, t: float, loud: bool, stat: float, now: Any, s: Any, found: Any, n: Any) -> Any:
     """Keep an open blow's peaks; write it out once it is calm. o: its place in s."""
     if t - s[o + 2] <= LOOK:
         s[o + 4] = max(s[o + 4], stat)
@@ -121,8 +121,8 @@ def _follow(o: int, t: float, loud: bool, stat: float, now: Any, s: Any, found: 
     return n + 1
 
 
-@njit(error_model="numpy", cache=True)
-def _open(o: int, t: float, t0: float, stat: float, w: Any, s: Any) -> None:
+@njit(error_model="numpy")
+def _open(o: Any, t: float, t0: float, stat: float, w: Any, s: Any) -> None:
     s[o], s[o + 1], s[o + 2], s[o + 3], s[o + 4], s[9] = 1.0, t0, t, t, stat, t
     for j in range(7, 10):
         s[o + j] = 0.0
@@ -138,7 +138,8 @@ def walk(t: Any, data: Any, speed: Any, s: Any, ring: Any, noise: Any, weight: A
     and of their mean. State: s (STATE,), ring (RING, 6),
     noise and weight (BINS, NOISES). last (N,): when the newest blow was known, as of each sample.
     """
-    w, now, n = np.zeros(10), np.zeros(8), 0
+    n: Any = np.int64(0)  # as a literal it would be compiled twice
+    w, now = np.zeros(10), np.zeros(8)
     for i in range(t.shape[0]):
         dt = t[i] - s[0] if s[1] > 0.0 else 0.01
         ax, ay = data[i, 0], data[i, 1]
@@ -172,14 +173,14 @@ def walk(t: Any, data: Any, speed: Any, s: Any, ring: Any, noise: Any, weight: A
         for o in (PLANE, UP):
             if s[o] > 0.0:
                 s[o + 3] = min(s[o + 3], s[0])
-                n = _follow(o, s[0] + 2.0 * CALM, False, 0.0, now, s, found, n)
+                n = _follow(o, s[0] + 2.0 * CALM, s[o] < 0.0, 0.0, now, s, found, n)
                 found[n - 1, 3] = s[0]
     return n
 
 
-@njit(error_model="numpy", cache=True)
+@njit(error_model="numpy")
 def _judge(t: float, b: int, row: Any, plane: float, w: Any, now: Any, head: int, s: Any, ring: Any, noise: Any,
-           weight: Any, found: Any, n: int, c: Any) -> int:  # fmt: skip
+           weight: Any, found: Any, n: Any, c: Any) -> Any:  # fmt: skip
     """Both statistics of a sample against the noise so far; opens, follows and closes blows; then learns."""
     fa, fr = c.floor_accel**2, c.floor_rate**2
     dt = row[5]
@@ -195,24 +196,24 @@ def _judge(t: float, b: int, row: Any, plane: float, w: Any, now: Any, head: int
     blown = z_blow > c.blow and blow2 > c.least_blow**2
     heaved = heave > c.heave and w[2] > 0.25 * c.least_heave**2
     if s[PLANE] > 0.0:
-        n = _follow(PLANE, t, blown or (plane > 9.0 * v_plane and plane > 1.0), z_blow, now, s, found, n)
+        n = _follow(np.int64(PLANE), t, blown or (plane > 9.0 * v_plane and plane > 1.0), z_blow, now, s, found, n)
     elif blown and _peak(head, s, ring) > c.least_peak:
-        _open(PLANE, t, _begin(int(s[8]), head, ring, False, math.sqrt(v_plane)), z_blow, w, s)
-        _peaks(PLANE, head, s, ring)
+        _open(np.int64(PLANE), t, _begin(int(s[8]), head, ring, 2.0, math.sqrt(v_plane)), z_blow, w, s)
+        _peaks(np.int64(PLANE), head, s, ring)
     if s[UP] > 0.0:
-        n = _follow(UP, t, heave > 0.6 * c.heave, heave, now, s, found, n)
+        n = _follow(np.int64(UP), t, heave > 0.6 * c.heave, heave, now, s, found, n)
     elif heaved:
-        _open(UP, t, _begin(int(s[8]), head, ring, True, math.sqrt(v_up)), heave, w, s)
-        _peaks(UP, head, s, ring)
+        _open(np.int64(UP), t, _begin(int(s[8]), head, ring, 3.0, math.sqrt(v_up)), heave, w, s)
+        _peaks(np.int64(UP), head, s, ring)
     memory = c.memory * (1.0 if s[PLANE] == 0.0 and s[UP] == 0.0 else IN_ALARM)
-    _learn(noise, weight, b, 0, blow2, fa * 2.0 * BLOW * dt, dt, memory)
-    _learn(noise, weight, b, 1, row[3] ** 2, fa, dt, memory)
-    _learn(noise, weight, b, 2, row[4], fr, dt, memory)
-    _learn(noise, weight, b, 3, plane, 2.0 * fa, dt, memory)
+    _learn(noise, weight, b, np.int64(0), blow2, fa * 2.0 * BLOW * dt, dt, memory)
+    _learn(noise, weight, b, np.int64(1), row[3] ** 2, fa, dt, memory)
+    _learn(noise, weight, b, np.int64(2), row[4], fr, dt, memory)
+    _learn(noise, weight, b, np.int64(3), plane, 2.0 * fa, dt, memory)
     return n
 
 
-@njit(error_model="numpy", cache=True)
+@njit(error_model="numpy")
 def _peak(head: int, s: Any, ring: Any) -> float:
     """Largest reading in the plane within the last BLOW seconds."""
     top = 0.0
@@ -224,8 +225,8 @@ def _peak(head: int, s: Any, ring: Any) -> float:
     return math.sqrt(top)
 
 
-@njit(error_model="numpy", cache=True)
-def _peaks(o: int, head: int, s: Any, ring: Any) -> None:
+@njit(error_model="numpy")
+def _peaks(o: Any, head: int, s: Any, ring: Any) -> None:
     """What the ring holds of a blow that is only now known: its peaks."""
     for k in range(int(s[8])):
         row = ring[(head - k) % RING]

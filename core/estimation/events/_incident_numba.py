@@ -12,8 +12,12 @@ State lives in one array, so a log may come in pieces.
 from __future__ import annotations
 
 import math
+import zlib
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numba import njit
 
 from core.estimation.events._residual_numba import (
@@ -52,15 +56,15 @@ RESTS, MOVES = 3.0, 5.0  # variance of the IMU over that at rest: below, above
 AFTER = 3.0  # s after a contradiction in which wheels may be found spinning
 
 
-@njit(error_model="numpy", cache=True)
-def _start(o: int, kind: int, t0: float, alarm: float, s: Any) -> None:
+@njit(error_model="numpy")
+def _start(o: Any, kind: Any, t0: float, alarm: float, s: Any) -> None:
     for j in range(SIZE):
         s[o + j] = 0.0
     s[o], s[o + 1], s[o + 2], s[o + 3], s[o + 4] = 1.0, kind, t0, alarm, t0
 
 
-@njit(error_model="numpy", cache=True)
-def _write(o: int, t1: float, release: float, s: Any, found: Any, n: int) -> int:
+@njit(error_model="numpy")
+def _write(o: Any, t1: float, release: float, s: Any, found: Any, n: Any) -> Any:
     row = found[n]
     for j in range(SIZE):
         row[j] = s[o + j]
@@ -69,7 +73,7 @@ def _write(o: int, t1: float, release: float, s: Any, found: Any, n: int) -> int
     return n + 1
 
 
-@njit(error_model="numpy", cache=True)
+@njit(error_model="numpy")
 def _kind(r: Any, onset: float, along: float, track: float, has_accel: bool) -> tuple[int, bool, bool]:
     """What explains a contradiction since `onset`, and which wheels it is about."""
     since, fl, fr = r[R_T] - onset, r[R_FLAT_L], r[R_FLAT_R]
@@ -95,11 +99,11 @@ def _kind(r: Any, onset: float, along: float, track: float, has_accel: bool) -> 
     return SLIP, False, False
 
 
-@njit(error_model="numpy", cache=True)
-def _mismatch(r: Any, track: float, has_accel: bool, s: Any, found: Any, n: int) -> int:
+@njit(error_model="numpy")
+def _mismatch(r: Any, track: float, has_accel: bool, s: Any, found: Any, n: Any) -> Any:
     """Open, follow and close the incident behind the channels."""
     t, known = r[R_T], r[R_KNOWN]
-    onset, active, z = math.inf, 0, 0.0
+    onset, active, z = math.inf, np.int64(0), 0.0
     for k in range(3):
         a = R_CHANNEL + k * PER_CHANNEL
         old = s[DEAD_END] > 0.0 and r[a + 1] <= s[DEAD_END] + 0.3  # an encoder that came back to life
@@ -108,7 +112,7 @@ def _mismatch(r: Any, track: float, has_accel: bool, s: Any, found: Any, n: int)
     turn, along, side = r[R_CHANNEL + 4], r[R_CHANNEL + PER_CHANNEL + 4], r[R_CHANNEL + 2 * PER_CHANNEL + 4]
     if s[MIS] == 0.0 and active:
         kind, left, right = _kind(r, onset, along, track, has_accel)
-        _start(MIS, kind, onset, known, s)
+        _start(np.int64(MIS), kind, onset, known, s)
         if kind == SLIP:
             left, right = _sides(active, turn / max(t - onset, r[R_H]), along, track, has_accel)
         s[MIS + 13] = along
@@ -118,8 +122,11 @@ def _mismatch(r: Any, track: float, has_accel: bool, s: Any, found: Any, n: int)
     if active:
         if s[MIS + 1] == SLIP:
             kind, left, right = _kind(r, s[MIS + 2], along, track, has_accel)
-            if kind == DEAD:
-                s[MIS + 1], s[MIS + 5], s[MIS + 6] = kind, (1.0 if left else 0.0), (1.0 if right else 0.0)
+            if kind == DEAD:  # what was a slip is known by now for what it is
+                onset, first = s[MIS + 2], s[MIS + 13]
+                n = _write(np.int64(MIS), t, known, s, found, n)
+                _start(np.int64(MIS), np.int64(DEAD), onset, known, s)
+                s[MIS + 5], s[MIS + 6], s[MIS + 13] = (1.0 if left else 0.0), (1.0 if right else 0.0), first
         s[MIS + 9] = max(s[MIS + 9], z)
         s[MIS + 7] = max(s[MIS + 7], float(active & 1))
         sums = (turn if active & 1 else 0.0, along if active & 2 else 0.0, side if active & 4 else 0.0)
@@ -130,12 +137,12 @@ def _mismatch(r: Any, track: float, has_accel: bool, s: Any, found: Any, n: int)
     if s[MIS + 1] == DEAD:
         return _dead(r, active, s, found, n)
     if active == 0:
-        return _write(MIS, s[MIS + 4] - 3.0 * r[R_H], known, s, found, n)
+        return _write(np.int64(MIS), s[MIS + 4] - 3.0 * r[R_H], known, s, found, n)
     return n
 
 
-@njit(error_model="numpy", cache=True)
-def _dead(r: Any, active: int, s: Any, found: Any, n: int) -> int:
+@njit(error_model="numpy")
+def _dead(r: Any, active: Any, s: Any, found: Any, n: Any) -> Any:
     """A dead encoder ends with its first tick, or when the whole robot rests."""
     left, right = s[MIS + 5] > 0.0, s[MIS + 6] > 0.0
     ticks = (not left or r[R_FLAT_L] == 0.0) and (not right or r[R_FLAT_R] == 0.0)
@@ -144,11 +151,11 @@ def _dead(r: Any, active: int, s: Any, found: Any, n: int) -> int:
         s[MIS + 4] = r[R_T]
         return n
     s[DEAD_END] = r[R_T]
-    return _write(MIS, r[R_T] - r[R_H], r[R_KNOWN], s, found, n)
+    return _write(np.int64(MIS), r[R_T] - r[R_H], r[R_KNOWN], s, found, n)
 
 
-@njit(error_model="numpy", cache=True)
-def _sides(active: int, rate: float, along: float, track: float, has_accel: bool) -> tuple[bool, bool]:
+@njit(error_model="numpy")
+def _sides(active: Any, rate: float, along: float, track: float, has_accel: bool) -> tuple[bool, bool]:
     """Which wheels run away from the ground: from the excess of speed, and of turn rate."""
     if not active & 1:
         return bool(active & 2), bool(active & 2)
@@ -158,8 +165,8 @@ def _sides(active: int, rate: float, along: float, track: float, has_accel: bool
     return left > 0.5 * right, right > 0.5 * left
 
 
-@njit(error_model="numpy", cache=True)
-def _blocked(r: Any, s: Any, found: Any, n: int) -> int:
+@njit(error_model="numpy")
+def _blocked(r: Any, s: Any, found: Any, n: Any) -> Any:
     """Asked to turn and flat, while nothing says that the robot moves."""
     t, h = r[R_T], r[R_H]
     for j, place, flat in ((R_SET_L, ASK_L, r[R_FLAT_L]), (R_SET_R, ASK_R, r[R_FLAT_R])):
@@ -169,7 +176,7 @@ def _blocked(r: Any, s: Any, found: Any, n: int) -> int:
     moving = (r[R_STILL] > MOVES and left and right) or (s[MIS] > 0.0 and s[MIS + 7] > 0.0)
     now = (left or right) and not dead and not moving
     if s[BLOCKED] == 0.0 and now:
-        _start(BLOCKED, STUCK, t - max(s[ASK_L], s[ASK_R]), r[R_KNOWN], s)
+        _start(np.int64(BLOCKED), np.int64(STUCK), t - max(s[ASK_L], s[ASK_R]), r[R_KNOWN], s)
         s[BLOCKED + 8] = 1.0 if left and right else 0.0
     if s[BLOCKED] == 0.0:
         return n
@@ -177,11 +184,11 @@ def _blocked(r: Any, s: Any, found: Any, n: int) -> int:
         s[BLOCKED + 4] = t
         s[BLOCKED + 13] = max(abs(r[R_SET_L]), abs(r[R_SET_R]))
         return n
-    return _write(BLOCKED, t - h, r[R_KNOWN], s, found, n)
+    return _write(np.int64(BLOCKED), t - h, r[R_KNOWN], s, found, n)
 
 
-@njit(error_model="numpy", cache=True)
-def _spinning(r: Any, blow: float, s: Any, found: Any, n: int) -> int:
+@njit(error_model="numpy")
+def _spinning(r: Any, blow: float, s: Any, found: Any, n: Any) -> Any:
     """Wheels that turn under a body at rest, told by the IMU, and only after something has happened."""
     t, h = r[R_T], r[R_H]
     rim = max(abs(r[R_VL]), abs(r[R_VR]))
@@ -191,30 +198,38 @@ def _spinning(r: Any, blow: float, s: Any, found: Any, n: int) -> int:
         s[LAST_MIS] = t
     recent = t - max(s[LAST_MIS], blow) < AFTER
     if s[SPIN] == 0.0 and s[CALM] > 0.3 and recent:
-        _start(SPIN, STUCK, t - s[CALM] - 0.3, r[R_KNOWN], s)
+        _start(np.int64(SPIN), np.int64(STUCK), t - s[CALM] - 0.3, r[R_KNOWN], s)
         s[SPIN + 5], s[SPIN + 6], s[SPIN + 7], s[SPIN + 8] = 1.0, 1.0, 1.0, 1.0
     if s[SPIN] == 0.0:
         return n
     if rests:
         s[SPIN + 13] = max(s[SPIN + 13], rim)
         return n
-    return _write(SPIN, t - h, r[R_KNOWN], s, found, n)
+    return _write(np.int64(SPIN), t - h, r[R_KNOWN], s, found, n)
 
 
-@njit(error_model="numpy", cache=True)
-def walk(rows: Any, blow: Any, s: Any, found: Any, track: float, has_accel: bool, flush: bool) -> int:
-    """Fill found (., SIZE + 1) with incidents that ended here; how many. rows (M, ROW); blow (M,): when the newest blow
-    was known; state s (STATE,). Columns: as of an open incident (4: its end), then the release."""
-    n = 0
-    for i in range(rows.shape[0]):
-        r = rows[i]
-        if r[R_BUSY] == 0.0:
-            n = _mismatch(r, track, has_accel, s, found, n)
-            n = _spinning(r, blow[i], s, found, n)
-        n = _blocked(r, s, found, n)
-        s[KEEP] = r[R_T]
-    if flush:
-        for o in (MIS, BLOCKED, SPIN):
-            if s[o] > 0.0:
-                n = _write(o, s[KEEP], s[KEEP], s, found, n)
-    return n
+def _entry_point(digest: int) -> Callable[..., int]:
+    """numba's cache sees a change of this file and of what is closed over, not of the file that the columns are of."""
+
+    @njit(error_model="numpy", cache=True)
+    def walk(rows: Any, blow: Any, s: Any, found: Any, track: float, has_accel: bool, flush: bool) -> int:
+        """Fill found (., SIZE + 1) with incidents that ended here; how many. rows (M, ROW); blow (M,): when the newest
+        blow was known; state s (STATE,). Columns: as of an open incident (4: its end), then the release."""
+        n: Any = np.int64(0)  # as a literal it would be compiled twice
+        for i in range(rows.shape[0] * min(digest, 1)):
+            r = rows[i]
+            if r[R_BUSY] == 0.0:
+                n = _mismatch(r, track, has_accel, s, found, n)
+                n = _spinning(r, blow[i], s, found, n)
+            n = _blocked(r, s, found, n)
+            s[KEEP] = r[R_T]
+        if flush:
+            for o in (MIS, BLOCKED, SPIN):
+                if s[o] > 0.0:
+                    n = _write(o, s[KEEP], s[KEEP], s, found, n)
+        return n
+
+    return walk
+
+
+walk = _entry_point(zlib.crc32(Path(__file__).with_name("_residual_numba.py").read_bytes()) | 1)

@@ -72,7 +72,7 @@ class Limits(NamedTuple):
     still_accel: float
 
 
-@njit(error_model="numpy", cache=True)
+@njit(error_model="numpy")
 def _imu(t: float, d: Any, s: Any, ring: Any, c: Any) -> None:
     """Take an IMU sample: integrals of turn, speed, distance, side speed; sums for its own stillness."""
     if math.isnan(d[0]):
@@ -101,7 +101,7 @@ def _imu(t: float, d: Any, s: Any, ring: Any, c: Any) -> None:
     row[6], row[7] = ax, ay
 
 
-@njit(error_model="numpy", cache=True)
+@njit(error_model="numpy")
 def _at(t: float, s: Any, ring: Any, out: Any) -> bool:
     """IMU integrals at t: G, VX, BX, VY, gz, linear between samples; held for a moment after the last."""
     n, head = int(s[COUNT]), int(s[HEAD])
@@ -128,7 +128,7 @@ def _at(t: float, s: Any, ring: Any, out: Any) -> bool:
     return False
 
 
-@njit(error_model="numpy", cache=True)
+@njit(error_model="numpy")
 def _still(t: float, s: Any, ring: Any, c: Any, calm: Any) -> float:
     """Variance of gyro and accelerometer over the last STILL seconds up to t, over that at rest; -1 where unknown."""
     n, head = int(s[COUNT]), int(s[HEAD])
@@ -151,7 +151,7 @@ def _still(t: float, s: Any, ring: Any, c: Any, calm: Any) -> float:
     return gyro if c.has_accel == 0.0 else (gyro + (sums[1] + sums[2]) / calm[1]) / 2.0
 
 
-@njit(error_model="numpy", cache=True)
+@njit(error_model="numpy")
 def _learn_calm(s: Any, calm: Any, h: float, c: Any) -> None:
     """Noise at rest: of stretches in which nothing turns and nothing is asked; falls at once, grows slowly."""
     quiet = min(s[FLAT_L], s[FLAT_R]) > 0.5 and s[UNASKED] > 0.5
@@ -165,7 +165,7 @@ def _learn_calm(s: Any, calm: Any, h: float, c: Any) -> None:
     calm[2] += h
 
 
-@njit(error_model="numpy", cache=True)
+@njit(error_model="numpy")
 def _update(p: Any, P: Any, H: Any, nu: float, r: float) -> None:
     """Kalman update of the turn's constants, weaker the further out (Huber), not at all far out."""
     share = 0.0
@@ -190,7 +190,7 @@ def _update(p: Any, P: Any, H: Any, nu: float, r: float) -> None:
             P[j, i] = P[i, j]
 
 
-@njit(error_model="numpy", cache=True)
+@njit(error_model="numpy")
 def _test(t: float, h: float, nu: float, slow: float, late: float, quiet: float, speed: int, ch: Any, past: Any,
           noise: Any, weight: Any, c: Any) -> None:  # fmt: skip
     """One step of a channel with residual nu, sd `slow` by constants (same sign all along), `late` by the delay.
@@ -237,7 +237,7 @@ def _test(t: float, h: float, nu: float, slow: float, late: float, quiet: float,
         ch[11] = max(ch[11], abs(ch[7]))
 
 
-@njit(error_model="numpy", cache=True)
+@njit(error_model="numpy")
 def _open(t: float, h: float, z: float, ch: Any, past: Any, n: int) -> None:
     """Raise the alarm; onset is the begin of the step from which on the data are most likely shifted."""
     total, most, at = 0.0, -1.0, 0
@@ -253,7 +253,7 @@ def _open(t: float, h: float, z: float, ch: Any, past: Any, n: int) -> None:
     ch[8], ch[9], ch[11] = t, 0.0, abs(total)
 
 
-@njit(error_model="numpy", cache=True)
+@njit(error_model="numpy")
 def _close(k: int, t: float, h: float, resting: bool, ch: Any, past: Any) -> None:
     """Whether it is over: the turn when it no longer grows, speeds when they agree again or after COAST."""
     if ch[3] == 0.0:
@@ -272,7 +272,7 @@ def _close(k: int, t: float, h: float, resting: bool, ch: Any, past: Any) -> Non
         ch[3], ch[0], ch[1], ch[2] = 0.0, 0.0, 0.0, 0.0
 
 
-@njit(error_model="numpy", cache=True)
+@njit(error_model="numpy")
 def _contexts(t: float, h: float, dl: float, dr: float, s: Any) -> None:
     """How long each wheel has been flat, how fast it was before, how long motion has been asked for or not."""
     if abs(dl) > 1e-9:
@@ -288,14 +288,14 @@ def _contexts(t: float, h: float, dl: float, dr: float, s: Any) -> None:
     s[UNASKED] = 0.0 if asked else s[UNASKED] + h
 
 
-@njit(error_model="numpy", cache=True)
+@njit(error_model="numpy")
 def _anchor(now: Any, s: Any) -> None:
     """IMU integrals at the begin of the next step, and the delay that they were taken with."""
     s[G_BASE], s[VX_BASE], s[BX_BASE], s[VY_BASE], s[GZ_BASE] = now[0], now[1], now[2], now[3], now[4]
     s[SHIFT] = s[USED]
 
 
-@njit(error_model="numpy", cache=True)
+@njit(error_model="numpy")
 def _restart(t: float, left: float, right: float, now: Any, known: bool, s: Any, ch: Any) -> None:
     """Begin anew from this reading: nothing before it is compared with anything after it."""
     s[T_BASE], s[L_BASE], s[R_BASE], s[STEPS] = t, left, right, 0.0
@@ -307,7 +307,7 @@ def _restart(t: float, left: float, right: float, now: Any, known: bool, s: Any,
             ch[k, j] = 0.0
 
 
-@njit(error_model="numpy", cache=True)
+@njit(error_model="numpy")
 def _base_step(t: float, left: float, right: float, s: Any, ring: Any, p: Any, P: Any, ch: Any, past: Any, noise: Any,
                weight: Any, calm: Any, now: Any, H: Any, row: Any, c: Any) -> bool:  # fmt: skip
     """Compare the sensors over one base step; False where there is nothing to compare."""
@@ -337,7 +337,7 @@ def _base_step(t: float, left: float, right: float, s: Any, ring: Any, p: Any, P
             s[STEPS] = 1.0
         _anchor(now, s)
     else:
-        _restart(t, left, right, now, False, s, ch)
+        _restart(t, left, right, now, known, s, ch)
     s[T_BASE], s[L_BASE], s[R_BASE] = t, left, right
     row[R_STILL] = still if calm[2] > 0.5 else -1.0
     row[R_TURNS], row[R_FLAT_L], row[R_FLAT_R], row[R_SET_L], row[R_SET_R] = (
@@ -353,7 +353,7 @@ def _base_step(t: float, left: float, right: float, s: Any, ring: Any, p: Any, P
     return True
 
 
-@njit(error_model="numpy", cache=True)
+@njit(error_model="numpy")
 def _compare(t: float, h: float, v: float, spread: float, s: Any, p: Any, P: Any, ch: Any, past: Any, noise: Any,
              weight: Any, now: Any, H: Any, c: Any) -> None:  # fmt: skip
     """The three residuals of a step, their tests, and what the calm ones teach of the constants."""
@@ -400,7 +400,7 @@ def _compare(t: float, h: float, v: float, spread: float, s: Any, p: Any, P: Any
     s[E_LAST], s[H_LAST], s[ARM] = e, h, gained
 
 
-@njit(error_model="numpy", cache=True)
+@njit(error_model="numpy")
 def _tilt(b: float, P: float, nu: float, h: float, sd: float) -> tuple[float, float]:
     """Accelerometer bias by one residual nu [m/s] over h, at most three sigma of it."""
     S = P * h * h + sd * sd

@@ -16,7 +16,8 @@ def by_cause(found: Sequence[Disturbance]) -> tuple[Disturbance, ...]:
     """By onset; blows that are a bounce's or a slip's own trace are left out, slips that a blow made get its name."""
     incidents = [d for d in found if d.kind not in (COLLISION, BOUNCE)]
     blows = _blows([d for d in found if d.kind in (COLLISION, BOUNCE)], incidents)
-    named = [_named(d, blows) for d in incidents]
+    dead = {d.t0 for d in incidents if d.kind == DEAD_ENCODER}
+    named = [_named(d, blows, dead) for d in incidents]
     return tuple(sorted((*named, *blows), key=lambda d: (d.t0, d.alarm)))
 
 
@@ -59,8 +60,10 @@ def _goes_on(d: Disturbance, blow: Disturbance) -> bool:
     return heals or (blow.along * blow.wheels > 0.0 and abs(blow.wheels) > 0.05)
 
 
-def _named(d: Disturbance, blows: Sequence[Disturbance]) -> Disturbance:
+def _named(d: Disturbance, blows: Sequence[Disturbance], dead: set[float]) -> Disturbance:
     if d.kind != SLIP:
         return d
+    if d.t0 in dead:
+        return dataclasses.replace(d, kind=DEAD_ENCODER)
     cause = next((b for b in blows if _near(d, b, BEFORE, AFTER)), None)
     return d if cause is None else dataclasses.replace(d, kind=cause.kind)
