@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from core.estimation.assumptions import Assumptions, encoder_quantum
+from core.estimation.cleaning import FARTHEST_ANGLE, FASTEST_TURN
 from core.estimation.events.disturbances import Disturbance, Disturbances
 from core.estimation.events.words import Blow, blow_disturbance, incident_disturbance
 from core.run import Run, RunMeta
@@ -31,6 +32,7 @@ MEMORY = 20.0  # s over which noise is learnt
 FIRST_BLOWS = (0.12**2, 1.5**2, 0.15**2, 2.5**2)  # noise of blow, az, rates, plane before any is learnt
 SEEN = 0.3  # s, weight of that first guess
 DELAY_SD = 0.03  # s, between the streams
+STRONGEST = 1e3  # m/s^2: beyond it a reading is a fault
 FLOOR_ACCEL, FLOOR_RATE = 0.05, 0.01  # m/s^2, rad/s: quieter is taken for this
 
 
@@ -128,7 +130,7 @@ class Detector:
             data[:, :2] = self._force(imu)
             for k, column in enumerate((imu.az, imu.gx, imu.gy)):
                 if column is not None:
-                    data[:, 2 + k] = column
+                    data[:, 2 + k] = _plausible(column)
         last, found = np.zeros(len(t)), np.zeros((len(t) + 4, self._i.SIZE))
         n = self._i.walk(
             t, data, self._rim_speed(piece, t), self._bs, self._bring, self._bnoise, self._bweight, last, found, flush,
@@ -142,7 +144,8 @@ class Detector:
         radius, w = self._meta.robot.wheel_radius, piece.wheels
         if w is None or not radius or len(w) < 2:
             return np.tile(self._speed, (len(t), 1))
-        rims = np.diff(np.column_stack((w.left, w.right)), axis=0) * radius / np.diff(w.t)[:, None]
+        angles = np.column_stack([_plausible(c, FARTHEST_ANGLE) for c in (w.left, w.right)])
+        rims = np.diff(angles, axis=0) * radius / np.diff(w.t)[:, None]
         speed = np.vstack((self._speed, np.column_stack((np.abs(rims).max(axis=1), rims.mean(axis=1)))))
         self._speed = speed[-1]
         return np.ascontiguousarray(speed[np.searchsorted(w.t[1:], t, "right")])
@@ -160,15 +163,15 @@ class Detector:
         parts: list[tuple[Array, int, Array]] = []
         radius = self._meta.robot.wheel_radius
         if piece.imu is not None:
-            gz = np.asarray(piece.imu.gz, np.float64)
-            data = np.zeros((len(gz), 4))
-            data[:, 0] = np.where(np.abs(gz) <= 100.0, gz, np.nan)
+            data = np.zeros((len(piece.imu), 4))
+            data[:, 0] = _plausible(piece.imu.gz, FASTEST_TURN)
             if self._accel:
                 data[:, 1:3] = self._force(piece.imu)
             parts.append((piece.imu.t, self._r.IMU, data))
         if piece.wheels is not None and radius:
-            angles = np.column_stack((piece.wheels.left, piece.wheels.right)).astype(np.float64) * radius
-            good = np.isfinite(angles).all(axis=1) & (np.abs(angles) < 1e9).all(axis=1)
+            both = (piece.wheels.left, piece.wheels.right)
+            angles = np.column_stack([_plausible(column, FARTHEST_ANGLE) for column in both]) * radius
+            good = np.isfinite(angles).all(axis=1)
             parts.append((piece.wheels.t[good], self._r.WHEEL, np.pad(angles[good], ((0, 0), (0, 2)))))
         if piece.commands is not None:
             asked = np.nan_to_num(np.column_stack((piece.commands.v, piece.commands.w)).astype(np.float64))
@@ -184,9 +187,8 @@ class Detector:
         """Specific force (N, 2) in the body's axes; readings beyond 1000 m/s^2 are none."""
         assert imu.ax is not None and imu.ay is not None
         c, s = math.cos(self._meta.robot.imu.yaw), math.sin(self._meta.robot.imu.yaw)
-        ax, ay = np.asarray(imu.ax, np.float64), np.asarray(imu.ay, np.float64)
-        force = np.column_stack((c * ax - s * ay, s * ax + c * ay))
-        return np.where(np.abs(force) <= 1e3, force, np.nan)
+        ax, ay = _plausible(imu.ax), _plausible(imu.ay)
+        return np.column_stack((c * ax - s * ay, s * ax + c * ay))
 
     def _residual_limits(self) -> Any:
         numbers, robot, noise = self._numbers, self._meta.robot, self._meta.noise
@@ -241,6 +243,12 @@ class Detector:
         noise[r.TURN] = 4e-3**2 + (0.5 * self._numbers.slip / track) ** 2 * speed * span
         noise[r.ALONG] = noise[r.SIDE] = 0.02**2 + (0.02**2 + (0.3 * speed) ** 2) * span
         return noise, np.full(noise.shape, SEEN)
+
+
+def _plausible(column: npt.NDArray[np.floating], most: float = STRONGEST) -> Array:
+    """float64, NaN for what no sensor reads."""
+    values = np.asarray(column, np.float64)
+    return np.where(np.abs(values) <= most, values, np.nan)
 
 
 def detect(run: Run, numbers: Assumptions) -> Disturbances:
