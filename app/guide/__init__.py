@@ -24,6 +24,7 @@ PAGES: dict[str, str] = {
     "methods": "Methods: where each path comes from",
     "published": "The published system, as we read it",
     "imu": "Gyro: noise and bias",
+    "firmware": "Firmware",
     "numbers": "What each number means",
     "figures": "Figures, honestly",
     "run-format": "The run format",

@@ -75,6 +75,8 @@ typedef struct {
     float mean; /* rad/s, signed by the movement */
     float variance;
     float rests;
+    float one;  /* rad^2/s^2, variance of what one rest shows */
+    float used; /* rad/s, the mean as far as it is no chance */
 } ds_bin;
 
 typedef struct {

@@ -14,10 +14,21 @@ static float clip(float value, float most)
     return ds_most(ds_least(value, most), -most);
 }
 
+/* A mean that may as well be chance would turn every rest the same way: it is drawn to 0. */
+static float beyond_chance(const ds_bin *bin)
+{
+    const float chance = DS_DOUBT * bin->one / (bin->rests + 1.0f);
+    const float square = bin->mean * bin->mean;
+    return (square > chance) ? (bin->mean * (1.0f - (chance / square))) : 0.0f;
+}
+
 /* The tail by blocks since the rest began: straight lines between the bins' middles, never rising. */
 static void tabulate(ds_bias *s)
 {
     size_t i = 0U;
+    for (size_t j = 0U; j < DS_BINS; j++) {
+        s->bin[j].used = beyond_chance(&s->bin[j]);
+    }
     for (uint32_t k = 0U; k < DS_TABLE; k++) {
         const float at = (float)k + 0.5f;
         while ((i < (DS_BINS - 2U)) && (at > (0.5f * (float)(edges[i + 1U] + edges[i + 2U])))) {
@@ -28,7 +39,7 @@ static void tabulate(ds_bias *s)
         const float u = ds_least(ds_most((at - left) / (right - left), 0.0f), 1.0f);
         const ds_bin *const a = &s->bin[i];
         const ds_bin *const b = &s->bin[i + 1U];
-        s->tail_mean[k] = ((1.0f - u) * a->mean) + (u * b->mean);
+        s->tail_mean[k] = ((1.0f - u) * a->used) + (u * b->used);
         s->tail_variance[k] = ds_most(((1.0f - u) * a->variance) + (u * b->variance), 0.0f);
         if (k > 0U) {
             s->tail_variance[k] = ds_least(s->tail_variance[k], s->tail_variance[k - 1U]);
@@ -67,6 +78,7 @@ static void scale(ds_bias *s)
     for (size_t i = 0U; i < DS_BINS; i++) {
         s->bin[i].mean = 0.0f;
         s->bin[i].rests = 0.0f;
+        s->bin[i].one = 0.0f;
         s->bin[i].variance = bin_first[i] * white;
     }
     tabulate(s);
@@ -140,17 +152,17 @@ static void end_of_rest(ds_bias *s, uint32_t length)
         ds_bin *const bin = &s->bin[i];
         const float whole = (float)(edges[i + 1U] - edges[i]);
         const bool filled = (bin->held >= whole) && ((edges[i + 1U] + 4U) <= length);
-        if (filled && (fabsf(s->old.sign) > 0.5f)) {
+        /* The bias before must be known well enough to tell what is left from it. */
+        if (filled && (fabsf(s->old.sign) > 0.5f) && (s->start_variance <= s->level.noise)) {
+            const float known = (s->level.noise / bin->held) + s->start_variance;
+            const float most = 16.0f * (known + ds_most(bin->variance, 0.0f));
+            const float d = (s->old.sign * bin->sum / bin->held) - bin->mean;
+            const float prior = known / (bin_usual[i] * white); /* rests that the mean's prior, 0, counts for */
             bin->rests += 1.0f;
-            if (s->start_variance <= s->level.noise) { /* else the bias before was not known well enough */
-                const float known = (s->level.noise / bin->held) + s->start_variance;
-                const float most = 16.0f * (known + ds_most(bin->variance, 0.0f));
-                const float d = (s->old.sign * bin->sum / bin->held) - bin->mean;
-                const float prior = known / (bin_usual[i] * white); /* rests that the mean's prior, 0, counts for */
-                bin->mean += clip(d, sqrtf(most)) / ds_least(bin->rests + prior, 1000.0f);
-                bin->variance += (ds_least(d * d, most) - known - bin->variance)
-                                 / ds_least(bin->rests + DS_TAIL_PRIOR, 400.0f);
-            }
+            bin->mean += clip(d, sqrtf(most)) / ds_least(bin->rests + prior, 1000.0f);
+            bin->variance += (ds_least(d * d, most) - known - bin->variance)
+                             / ds_least(bin->rests + DS_TAIL_PRIOR, 400.0f);
+            bin->one += (known + ds_most(bin->variance, 0.0f) - bin->one) / ds_least(bin->rests, 400.0f);
         }
     }
     tabulate(s);

@@ -111,11 +111,34 @@ void ds_init(ds_state *state, float uptime_s)
     state->last.heading_sd = DS_UNKNOWN;
 }
 
+static bool forward(uint32_t step_us)
+{
+    return (step_us > 0U) && (step_us < HALF_RANGE);
+}
+
+/* Time since the last sample, 0 at the first; whether that can be. A clock that jumped back is followed from the
+ * second sample on; the time between is not known and counts as none. */
+static bool time_of(ds_state *state, uint32_t t_us, uint32_t *step_us)
+{
+    bool good = true;
+    *step_us = 0U;
+    if (state->started) {
+        *step_us = t_us - state->last_us;
+        if (!forward(*step_us) && state->jumped) {
+            *step_us = t_us - state->jumped_us;
+        }
+        good = forward(*step_us);
+        state->jumped = !good;
+        state->jumped_us = t_us;
+    }
+    return good;
+}
+
 ds_status ds_step(ds_state *state, const ds_input *in, ds_output *out)
 {
     ds_status status = DS_OK;
-    const uint32_t step_us = state->started ? (in->t_us - state->last_us) : 0U;
-    if (state->started && ((step_us == 0U) || (step_us >= HALF_RANGE))) {
+    uint32_t step_us;
+    if (!time_of(state, in->t_us, &step_us)) {
         status = DS_BAD_TIME;
     } else {
         float now[DS_AXES];

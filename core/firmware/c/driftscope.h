@@ -38,7 +38,8 @@ typedef struct {
 typedef enum {
     DS_OK = 0,
     DS_BAD_READING = 1, /* the rate about z is not finite: bias and heading wait for the next that is */
-    DS_BAD_TIME = 2     /* the clock stood still or ran backwards: the sample is left out, the output is the last one */
+    DS_BAD_TIME = 2     /* the clock stood still or ran backwards (or a pause was over 35 minutes): the sample is left
+                           out, the output is the last one; a clock that jumped is followed from the next sample on */
 } ds_status;
 
 typedef struct {
@@ -54,6 +55,8 @@ typedef struct {
     ds_average average[DS_AXES];
     uint32_t last_us;   /* stamp of the last sample */
     uint32_t waited_us; /* from the last rate about z that the tracker got, to last_us */
+    uint32_t jumped_us; /* stamp of a sample whose clock could not be */
+    bool jumped;
     bool started;
     ds_bias bias;
     ds_output last;

@@ -192,6 +192,11 @@ def test_missing_readings_and_a_clock_gone_wrong_leave_the_rest_alone(bias: str,
     for values in made.values.values():
         np.testing.assert_array_equal(values[7000:7002], values[6999])
 
+    jumped = np.where(np.arange(len(t)) >= 9000, t - 50.0, t)  # the clock's counter began anew
+    made = run(harness, records(jumped, readings))
+    assert list(np.flatnonzero(made.status)) == [9000]
+    assert abs(made.values["heading"][-1] - whole.values["heading"][-1]) < 0.02  # a sample at 0.6 rad/s is lost
+
     early = t + 2.0**32 / 1e6 - 50.0  # the clock wraps after 50 s
     made = run(harness, records(early, readings))
     for name, values in made.values.items():
