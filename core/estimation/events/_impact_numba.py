@@ -21,6 +21,7 @@ BLOW, SHORT, LONG = 0.06, 0.05, 0.25  # s
 MEAN = 0.5  # s, memory of an axis' own mean
 LOOK = 0.05  # s after the alarm in which the blow shows its size
 CALM = 0.12  # s without a sign until it is over
+LONGEST = 1.0  # s: what goes on shaking for longer is no blow any more
 OUTLIER = 4.0  # sigma^2: most that a reading adds to the learnt noise
 IN_ALARM = 4.0  # during an alarm noise is learnt so much slower: it may be the noise that is wrong
 RING = 512
@@ -109,7 +110,7 @@ def _follow(o: Any, t: float, loud: bool, stat: float, now: Any, s: Any, found: 
             s[o + 5], s[o + 6] = now[6], now[7]
         for j in range(3):
             s[o + 7 + j] = max(s[o + 7 + j], now[j])
-    if loud:
+    if loud and t - s[o + 2] < LONGEST:
         s[o + 3] = t
     if t - s[o + 3] < CALM:
         return n

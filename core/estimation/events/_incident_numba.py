@@ -42,7 +42,7 @@ from core.estimation.events._residual_numba import (
 
 SLIP, COLLISION, BOUNCE, PUSHED, STUCK, DEAD = range(6)  # as KINDS
 MIS, BLOCKED, SPIN = 0, 20, 40  # places of the three open incidents in the state
-ASK_L, ASK_R, CALM, DEAD_END, LAST_MIS, KEEP = range(60, 66)
+ASK_L, ASK_R, CALM, DEAD_END, LAST_MIS, KEEP, DRIVE = range(60, 67)
 STATE = 70
 # of an open incident: open, kind, t0, alarm, last sign, left, right, turn, stopped, z, turn, along, side, and the
 # first along or the rims' speed
@@ -189,14 +189,16 @@ def _blocked(r: Any, s: Any, found: Any, n: Any) -> Any:
 
 @njit(error_model="numpy")
 def _spinning(r: Any, blow: float, s: Any, found: Any, n: Any) -> Any:
-    """Wheels that turn under a body at rest, told by the IMU, and only after something has happened."""
+    """Wheels that turn under a body at rest: after something has happened, where driving is known to shake the IMU."""
     t, h = r[R_T], r[R_H]
     rim = max(abs(r[R_VL]), abs(r[R_VR]))
-    rests = rim > SLOW and 0.0 <= r[R_STILL] < RESTS and abs(r[R_GYRO]) < 0.05
+    rests = rim > SLOW and 0.0 <= r[R_STILL] < min(RESTS, 0.1 * s[DRIVE]) and abs(r[R_GYRO]) < 0.05
     s[CALM] = s[CALM] + h if rests else 0.0
     if s[MIS] > 0.0:
         s[LAST_MIS] = t
     recent = t - max(s[LAST_MIS], blow) < AFTER
+    if rim > SLOW and not recent and r[R_STILL] >= 0.0:
+        s[DRIVE] += min(h / 3.0, 1.0) * (min(r[R_STILL], 100.0) - s[DRIVE])
     if s[SPIN] == 0.0 and s[CALM] > 0.3 and recent:
         _start(np.int64(SPIN), np.int64(STUCK), t - s[CALM] - 0.3, r[R_KNOWN], s)
         s[SPIN + 5], s[SPIN + 6], s[SPIN + 7], s[SPIN + 8] = 1.0, 1.0, 1.0, 1.0

@@ -26,7 +26,7 @@ IMU, WHEEL, COMMAND = range(3)  # kinds of reading; data: gz ax ay az | left rig
 STEP = 0.04  # s
 WAIT = 0.06  # s: how long a wheel reading waits for an IMU that may be late
 PAUSE = 0.6  # s: longer, and the wheels have paused
-RING, QUEUE, HISTORY = 256, 64, 32  # IMU samples, waiting wheel readings, base steps
+RING, QUEUE, HISTORY = 256, 64, 48  # IMU samples, waiting wheel readings, base steps
 TURN, ALONG, SIDE = range(3)
 BINS, WINDOWS = 4, 4
 LENGTHS = (1, 3, 8, 20)  # base steps
@@ -238,6 +238,19 @@ def _test(t: float, h: float, nu: float, slow: float, late: float, quiet: float,
 
 
 @njit(error_model="numpy")
+def _crept(at: int, total: float, sd: float, past: Any, n: int) -> int:
+    """Where a jump only takes back what crept in before it (grip returns), the onset is where that began."""
+    back, most, begin = 0.0, 0.0, at
+    for i in range(at + 1, n):
+        back += past[i, 0]
+        m = i - at
+        gain = back * back / m
+        if back * total < 0.0 and abs(back) > 0.5 * abs(total) and gain > 9.0 * sd * sd and gain > most:
+            most, begin = gain, i
+    return begin
+
+
+@njit(error_model="numpy")
 def _open(t: float, h: float, z: float, ch: Any, past: Any, n: int) -> None:
     """Raise the alarm; onset is the begin of the step from which on the data are most likely shifted."""
     total, most, at = 0.0, -1.0, 0
@@ -249,6 +262,7 @@ def _open(t: float, h: float, z: float, ch: Any, past: Any, n: int) -> None:
     total = 0.0
     for i in range(at + 1):
         total += past[i, 0]
+    at = _crept(at, total, ch[12], past, n)
     ch[3], ch[4], ch[5], ch[6], ch[7] = 1.0, past[at, 4], t, max(abs(z), max(ch[1], ch[2])), total
     ch[8], ch[9], ch[11] = t, 0.0, abs(total)
 

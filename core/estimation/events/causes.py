@@ -9,7 +9,8 @@ from core.estimation.events.disturbances import BOUNCE, COLLISION, DEAD_ENCODER,
 
 HARD = 7.0  # m/s^2: no motor brakes or starts like this; a softer blow needs the wheels as witness
 GRIP = 10.0  # m/s^2: what tyres can do at most
-BEFORE, AFTER = 0.2, 0.5  # s: a contradiction from so early to so late belongs to the blow
+BEFORE, AFTER = 0.2, 0.5  # s: a contradiction from so early to so late belongs to the blow,
+SHORT = 1.0  # s: unless it goes on for longer than that
 
 
 def by_cause(found: Sequence[Disturbance]) -> tuple[Disturbance, ...]:
@@ -54,9 +55,9 @@ def _goes_on(d: Disturbance, blow: Disturbance) -> bool:
         return False
     if d.t0 + BEFORE < blow.t0:
         return True
-    if blow.kind == BOUNCE or d.kind == PUSHED or blow.peak >= GRIP:
+    if blow.kind == BOUNCE or d.kind == PUSHED:
         return False
-    heals = d.t0 + 0.08 < blow.t0 and d.along * blow.along > 0.0
+    heals = d.t0 + 0.08 < blow.t0 and d.along * blow.along > 0.0 and blow.peak < GRIP
     return heals or (blow.along * blow.wheels > 0.0 and abs(blow.wheels) > 0.05)
 
 
@@ -65,5 +66,5 @@ def _named(d: Disturbance, blows: Sequence[Disturbance], dead: set[float]) -> Di
         return d
     if d.t0 in dead:
         return dataclasses.replace(d, kind=DEAD_ENCODER)
-    cause = next((b for b in blows if _near(d, b, BEFORE, AFTER)), None)
+    cause = next((b for b in blows if _near(d, b, BEFORE, AFTER) and d.t1 < b.t1 + SHORT), None)
     return d if cause is None else dataclasses.replace(d, kind=cause.kind)

@@ -30,7 +30,7 @@ TAIL = 1.25  # real noise has longer tails than Gauss: thresholds are higher by 
 LEAST_BLOW, LEAST_PEAK, LEAST_HEAVE = 0.06, 4.0, 1.5  # m/s, m/s^2, m/s^2
 MEMORY = 20.0  # s over which noise is learnt
 FIRST_BLOWS = (0.12**2, 1.5**2, 0.15**2, 2.5**2)  # noise of blow, az, rates, plane before any is learnt
-SEEN = 0.3  # s, weight of that first guess
+SEEN = 0.2  # s, weight of that first guess
 DELAY_SD = 0.03  # s, between the streams
 STRONGEST = 1e3  # m/s^2: beyond it a reading is a fault
 FLOOR_ACCEL, FLOOR_RATE = 0.05, 0.01  # m/s^2, rad/s: quieter is taken for this
@@ -241,7 +241,7 @@ class Detector:
         track = self._meta.robot.track_width or 0.3
         noise = np.empty((3, r.BINS, r.WINDOWS))
         noise[r.TURN] = 4e-3**2 + (0.5 * self._numbers.slip / track) ** 2 * speed * span
-        noise[r.ALONG] = noise[r.SIDE] = 0.02**2 + (0.02**2 + (0.3 * speed) ** 2) * span
+        noise[r.ALONG] = noise[r.SIDE] = 0.02**2 + (0.02**2 + (0.2 * speed) ** 2) * span
         return noise, np.full(noise.shape, SEEN)
 
 
