@@ -51,6 +51,7 @@ class Assumptions:
     lasting_fix: float = 0.0  # m, error of fixes that lasts
     lasting_range: float = 0.0  # m, error of one beacon's ranges that lasts
     lasting_time: float = 10.0  # s, how long
+    skid: float = 0.0  # m, by which a skid-steered robot turns about another place than its axle's midpoint
     slide: float = 0.04  # m/sqrt(s), how far a robot slides while its wheels slip
     carried: float = 0.7  # m/sqrt(s), how far something else moves the robot
     carried_turn: float = 0.05  # rad/sqrt(s), and how far it turns it unseen by the gyro

@@ -39,6 +39,7 @@ from core.estimation.fusion.layout import (
     REFUSED_RANGES,
     REJECTED,
     RELOCATED,
+    ROOM,
     STUBBORN,
     T_FIX,
     T_OFFSET,
@@ -83,7 +84,9 @@ def _fade_offsets(t: float, x: Any, P: Any, n: int, mem: Any, c: Any, parts: Any
 
 
 @njit(error_model="numpy")
-def _tag_speed(x: Any, arm_x: float, arm_y: float, cos: float, sin: float, mem: Any, c: Any) -> tuple[float, float, float]:
+def _tag_speed(
+    x: Any, arm_x: float, arm_y: float, cos: float, sin: float, mem: Any, c: Any
+) -> tuple[float, float, float]:
     w = mem[GZ] if c[HAS_GYRO] != 0.0 else 0.0
     return x[V] * cos - w * arm_y, x[V] * sin + w * arm_x, w
 
@@ -91,10 +94,10 @@ def _tag_speed(x: Any, arm_x: float, arm_y: float, cos: float, sin: float, mem: 
 @njit(error_model="numpy")
 def _put(work: Any, index: Any, row: int, k: int, a: float) -> None:
     """State k has a in this row."""
-    m = index[row, 7]
+    m = index[row, ROOM]
     index[row, m] = k
     work[ROW + row, m] = a
-    index[row, 7] = m + 1
+    index[row, ROOM] = m + 1
 
 
 @njit(error_model="numpy")
@@ -106,7 +109,7 @@ def _fix_rows(a: Any, x: Any, P: Any, mem: Any, c: Any, work: Any, index: Any) -
     vx, vy, rate = _tag_speed(x, arm_x, arm_y, cos, sin, mem, c)
     o = int(a[3])
     for row in range(2):
-        index[row, 7] = 0
+        index[row, ROOM] = 0
         _put(work, index, row, X + row, 1.0)
         _put(work, index, row, TH, arm_x - lag * vx if row else lag * vy - arm_y)
         if late:
@@ -122,7 +125,7 @@ def _fix_rows(a: Any, x: Any, P: Any, mem: Any, c: Any, work: Any, index: Any) -
         work[INNOVATION, 1] -= x[o + 1]
     if math.isnan(a[2]):
         return 2
-    index[2, 7] = 0
+    index[2, ROOM] = 0
     _put(work, index, 2, TH, 1.0)
     if late:
         _put(work, index, 2, DT, -rate)
@@ -141,7 +144,7 @@ def _range_row(a: Any, x: Any, P: Any, mem: Any, c: Any, work: Any, index: Any) 
     distance = max(math.sqrt(ex * ex + ey * ey + ez * ez), 1e-6)
     scale = (1.0 + x[KR]) / distance
     ux, uy = scale * ex, scale * ey
-    index[0, 7] = 0
+    index[0, ROOM] = 0
     _put(work, index, 0, X, ux)
     _put(work, index, 0, Y, uy)
     _put(work, index, 0, TH, ux * (lag * vy - arm_y) + uy * (arm_x - lag * vx))
@@ -152,6 +155,7 @@ def _range_row(a: Any, x: Any, P: Any, mem: Any, c: Any, work: Any, index: Any) 
     work[NOISE, 0] = c[R_RANGE]
     if P[DT, DT] > 0.0:
         _put(work, index, 0, DT, -ux * vx - uy * vy)
+        _put(work, index, 0, V, -lag * (ux * cos + uy * sin))
     if o > 0:
         _put(work, index, 0, o, 1.0)
         work[INNOVATION, 0] -= x[o]
@@ -161,7 +165,7 @@ def _range_row(a: Any, x: Any, P: Any, mem: Any, c: Any, work: Any, index: Any) 
 def _product(row: int, work: Any, index: Any, of: int) -> float:
     """Row h times P h of another row."""
     total = 0.0
-    for m in range(index[row, 7]):
+    for m in range(index[row, ROOM]):
         total += work[ROW + row, m] * work[of, index[row, m]]
     return total
 
@@ -201,14 +205,14 @@ def _take(x: Any, P: Any, n: int, rows: int, ease: float, work: Any, index: Any,
         value = work[ROW + row]
         variance = covariance_with(P, n, index[row], value, g) + work[NOISE, row] * ease
         left = work[INNOVATION, row]
-        for m in range(index[row, 7]):
+        for m in range(index[row, ROOM]):
             i = index[row, m]
             left -= value[m] * (x[i] - x_old[i])
         if k >= 0:
             u = rec.marks[k + 1, 0]
-            for m in range(8):
+            for m in range(ROOM + 1):
                 rec.which[u, m] = index[row, m]
-            for m in range(7):
+            for m in range(ROOM):
                 rec.corrections[u, VALUES + m] = value[m]
             keep(rec, k, g, n, left, variance)
         correct(x, P, n, g, left, variance)
@@ -366,7 +370,7 @@ def range_to(
     """A single range."""
     _fade_offsets(t, x, P, n, mem, c, parts)
     _range_row(a, x, P, mem, c, work, index)
-    rows = index[0, 7] // index[0, 7]
+    rows = index[0, ROOM] // index[0, ROOM]
     nis, log = _joint(P, n, rows, work, index)
     out.nis[e, 0], out.nis[e, 1], out.status[e, 0] = nis, log, ACCEPTED
     ease, o = max(nis / (SOFT * c[GATE1]), 1.0), int(a[4])

@@ -45,6 +45,7 @@ from core.estimation.fusion.layout import (
     REFUSED_REST,
     REST,
     RESTING,
+    ROOM,
     SILENCE,
     SLIPPING,
     SPED,
@@ -180,7 +181,7 @@ def _entry_point(digest: int) -> Callable[..., int]:
         begin: int, end: int, row: int, events: Any, x: Any, P: Any, n: int, mem: Any, past: Any, c: Any, out: Any,
         rec: Any, record: bool,
     ) -> int:  # fmt: skip
-        work, index, parts = np.zeros((9, N)), np.zeros((3, 8), np.int64), np.zeros(PARTS + 1)
+        work, index, parts = np.zeros((9, N)), np.zeros((3, ROOM + 1), np.int64), np.zeros(PARTS + 1)
         row0 = row
         for e in range(begin, end):
             t, a, kind, flags, k = events.t[e], events.data[e], events.kind[e], events.flags[e], -1

@@ -38,10 +38,12 @@ from core.estimation.fusion.layout import (
     Q_GYRO,
     Q_SCALE,
     Q_SIDE,
+    Q_SKID,
     Q_SLIP,
     Q_SPEED,
     Q_TILT,
     Q_TURN,
+    ROOM,
     TAU,
     TH,
     UX,
@@ -224,6 +226,10 @@ def add_noise(
             P[V, i] += e * q * q_dv
     add3(P, X, Y, S, -uy, ux, 0.0, c[Q_SIDE] * along)
     add3(P, X, Y, S, ux, uy, 0.0, 0.5 * c[Q_SLIP] * along)  # v is the wheels' speed: it is the body that slips
+    if c[Q_SKID] > 0.0:
+        q = c[Q_SKID] * w * w / dt
+        P[X, X] += q
+        P[Y, Y] += q
     slip_turn = 2.0 * c[Q_SLIP] * c[INVERSE_TRACK] * (along * c[INVERSE_TRACK] + 0.5 * abs(w))
     if c[HAS_GYRO] != 0.0:
         P[B, B] += c[Q_BIAS] * dt
@@ -272,15 +278,15 @@ def anchor(P: Any, n: int, k: int, r: float) -> None:
 
 @njit(error_model="numpy")
 def covariance_with(P: Any, n: int, which: Any, value: Any, g: Any) -> float:
-    """g (n,) = P h for the sparse row h (value at which[:7], which[7] of them); returns h' P h."""
+    """g (n,) = P h for the sparse row h (value at which[:ROOM], which[ROOM] of them); returns h' P h."""
     for i in range(n):
         g[i] = value[0] * P[which[0], i]
-    for m in range(1, which[7]):
+    for m in range(1, which[ROOM]):
         k, a = which[m], value[m]
         for i in range(n):
             g[i] += a * P[k, i]
     total = 0.0
-    for m in range(which[7]):
+    for m in range(which[ROOM]):
         total += value[m] * g[which[m]]
     return total
 
@@ -306,7 +312,7 @@ def correct_state(x: Any, P: Any, n: int, k: int, nu: float, r: float, g: Any, r
     variance = g[k] + r
     if event >= 0:
         u = rec.marks[event + 1, 0]
-        rec.which[u, 0], rec.which[u, 7], rec.corrections[u, VALUES] = k, 1, 1.0
+        rec.which[u, 0], rec.which[u, ROOM], rec.corrections[u, VALUES] = k, 1, 1.0
         keep(rec, event, g, n, nu, variance)
     correct(x, P, n, g, nu, variance)
     ratio = r / variance

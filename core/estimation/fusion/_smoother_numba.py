@@ -40,6 +40,7 @@ from core.estimation.fusion.layout import (
     PHI_W,
     PX,
     PY,
+    ROOM,
     TH,
     UX,
     UY,
@@ -108,16 +109,16 @@ def _uncorrect(lam: Any, L: Any, n: int, which: Any, told: Any, m: Any) -> None:
         both += told[i] * m[i]
     both = (both + 1.0) * inverse
     along = (along + told[NU]) * inverse
-    for p in range(which[7]):
+    for p in range(which[ROOM]):
         k, a = which[p], told[VALUES + p]
         lam[k] -= a * along
         for j in range(n):
             L[k, j] -= a * m[j]
-    for p in range(which[7]):
+    for p in range(which[ROOM]):
         k, a = which[p], told[VALUES + p]
         for j in range(n):
             L[j, k] -= a * m[j]
-        for q in range(which[7]):
+        for q in range(which[ROOM]):
             L[k, which[q]] += a * told[VALUES + q] * both
 
 

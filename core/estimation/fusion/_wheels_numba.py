@@ -116,9 +116,7 @@ def _stands(t: float, flags: int, mem: Any, c: Any) -> bool:
 
 
 @njit(error_model="numpy")
-def _test(
-    t: float, nu: float, nu_turn: float, turning: bool, x: Any, P: Any, since: float, mem: Any, c: Any
-) -> None:
+def _test(t: float, nu: float, nu_turn: float, turning: bool, x: Any, P: Any, since: float, mem: Any, c: Any) -> None:
     """Are the readings a surprise?"""
     if turning and c[HAS_GYRO] != 0.0:
         s00, s11, s01 = P[S, S] + c[R_DISTANCE], P[PHI, PHI] + c[R_TURN], P[S, PHI]
@@ -133,9 +131,7 @@ def _test(
 
 
 @njit(error_model="numpy")
-def _slower(
-    d: float, nu_turn: float, since: float, x: Any, P: Any, n: int, c: Any, g: Any, rec: Any, k: int
-) -> None:
+def _slower(d: float, nu_turn: float, since: float, x: Any, P: Any, n: int, c: Any, g: Any, rec: Any, k: int) -> None:
     """Wheels that contradict the gyro's turn, and nobody knows which: a driven wheel that slips runs ahead, so the speed
     is near that of the slower one, which may slip as well."""
     more = abs(0.5 / c[INVERSE_TRACK] * nu_turn)
@@ -175,7 +171,9 @@ def wheels(
             nu_turn = a[1] - x[PHI]
             out.nis[e, 1] = nu_turn * nu_turn / (P[PHI, PHI] + c[R_TURN])
         stands = _stands(t, flags, mem, c)
-        said = flags & (LEFT | RIGHT | TURN) != 0 and (stands or flags & STOPPED == 0 or t - mem[STOP_SINCE] < STOP_TIME)
+        said = flags & (LEFT | RIGHT | TURN) != 0 and (
+            stands or flags & STOPPED == 0 or t - mem[STOP_SINCE] < STOP_TIME
+        )
         if not said and flags & CARRIED == 0:
             _test(t, nu, nu_turn, turning, x, P, since, mem, c)
         out_of_use = flags & CARRIED != 0 or stands

@@ -9,7 +9,7 @@ gate. `smoothed` walks back as well. What there is to say of it is in `findings.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -18,8 +18,9 @@ from core.estimation.assumptions import Assumptions, Config, assume
 from core.estimation.events import Disturbances, detect
 from core.estimation.fusion.events import Events, merge
 from core.estimation.fusion.findings import all_events, findings, innovations, parameters
-from core.estimation.fusion.layout import FIX, RANGE
+from core.estimation.fusion.layout import FIX, RANGE, WHEEL
 from core.estimation.fusion.noise import learn, trusted_turns
+from core.estimation.fusion.sanity import sound
 from core.estimation.fusion.start import Start, find_start
 from core.estimation.fusion.walk import Problem, Walk, problem, smooth, walk
 from core.estimation.rest import Rest, at_rest
@@ -60,12 +61,13 @@ def smoothed(run: Run, config: Config | None = None) -> Estimate:
 def prepare(run: Run, config: Config | None = None) -> Prepared:
     """All that comes before the walk."""
     numbers, notes = assume(run, config)
+    run, wrong = sound(run, numbers)
     rest = at_rest(run, numbers) if run.imu is not None and len(run.imu) >= 2 else None
     events = merge(run, numbers, rest)
     trusted: tuple[str, ...] = ()
     if rest is not None:
         events, numbers, trusted = trusted_turns(events, numbers, lambda e, n: _alone(run, e, n, rest))
-    disturbances = detect(run, numbers)
+    disturbances = _believed(detect(run, numbers), events)
     start = find_start(run, events, numbers, lambda: _reckoned(*_alone(run, events, numbers, rest)))
     events = start.without_used(events)
 
@@ -73,8 +75,16 @@ def prepare(run: Run, config: Config | None = None) -> Prepared:
         return walk(problem(run, e, start, n, rest), e)
 
     numbers, learnt = learn(run, events, numbers, config or {}, trial)
-    notes = (*start.notes, *trusted, *learnt, *notes, *events.notes)
+    notes = (*wrong, *start.notes, *trusted, *learnt, *notes, *events.notes)
     return Prepared(run, events, numbers, problem(run, events, start, numbers, rest), disturbances, rest, notes)
+
+
+def _believed(found: Disturbances, events: Events) -> Disturbances:
+    """Without those that only a turn of the wheels shows, where that is no witness."""
+    wheels = events.kind == WHEEL
+    if np.isfinite(events.data[wheels, 1]).any():
+        return found
+    return replace(found, found=tuple(d for d in found.found if not d.turn))
 
 
 def _alone(run: Run, events: Events, numbers: Assumptions, rest: Rest | None) -> tuple[Events, Walk]:

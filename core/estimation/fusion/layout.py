@@ -52,6 +52,7 @@ class Constants(NamedTuple):
     q_scale: float
     q_slip: float
     q_side: float
+    q_skid: float  # of the position, of turning squared
     q_slide: float  # of the position, while a wheel slips
     q_carried: float  # of the position, while something moves the robot
     q_carried_turn: float
@@ -77,10 +78,10 @@ class Constants(NamedTuple):
 
 (
     HAS_GYRO, HAS_ACCEL, INVERSE_TRACK, TAG_X, TAG_Y, TAG_Z, TAU, SILENCE, HOLD, Q_PAUSE, Q_SPEED, Q_ACCEL,
-    Q_TILT, Q_TURN, Q_GYRO, Q_BIAS, Q_SCALE, Q_SLIP, Q_SIDE, Q_SLIDE, Q_CARRIED, Q_CARRIED_TURN, R_DISTANCE, R_TURN,
+    Q_TILT, Q_TURN, Q_GYRO, Q_BIAS, Q_SCALE, Q_SLIP, Q_SIDE, Q_SKID, Q_SLIDE, Q_CARRIED, Q_CARRIED_TURN, R_DISTANCE, R_TURN,
     R_RATE, R_STILL, R_FIX, R_FIX_THETA, R_RANGE, OFFSET_VAR, OFFSET_TAU, FIRST_OFFSET, GATE1, GATE2, GATE3,
     PATIENCE, PATIENCE_REST, STUBBORN, LEAP, COAST,
-) = range(40)  # fmt: skip
+) = range(41)  # fmt: skip
 """Places of the constants in the array that the compiled filter takes."""
 
 WHEEL, FIX, RANGE, OUT = range(4)
@@ -116,7 +117,7 @@ class Records(NamedTuple):
 
     parts (K, PARTS + 1): of each step's Jacobian, NaN in the first where no time passed; last, the fade of lasting
     errors. marks (K + 1, 2): corrections before each event; bits of the states that were anchored after the step.
-    which (U, 8): states of row h, last how many. corrections (U, N + 9): P h, values of h, innovation, its variance.
+    which (U, ROOM + 1): states of row h, last how many. corrections (U, N + ROOM + 2): P h, values of h, innovation, its variance.
     rows (R, 4, N): P of x, y, theta, b.
     """
 
@@ -127,14 +128,16 @@ class Records(NamedTuple):
     rows: Any
 
 
-VALUES, NU, VARIANCE = N, N + 7, N + 8  # columns of corrections
+ROOM = 8  # most states that one reading is about
+VALUES, NU, VARIANCE = N, N + ROOM, N + ROOM + 1  # columns of corrections
 
 
 def records(events: int, rows: int) -> Records:
     """Room for the records of a stretch, or of none."""
     k, r, u = max(events, 1), max(rows, 1), max(5 * events, 1)
     return Records(
-        np.zeros((k, PARTS + 1)), np.zeros((k + 1, 2), np.int64), np.zeros((u, 8), np.int64), np.zeros((u, N + 9)),
+        np.zeros((k, PARTS + 1)), np.zeros((k + 1, 2), np.int64), np.zeros((u, ROOM + 1), np.int64),
+        np.zeros((u, N + ROOM + 2)),
         np.zeros((r, 4, N)),
     )  # fmt: skip
 

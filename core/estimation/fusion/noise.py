@@ -28,6 +28,7 @@ SLIP_STEP, SLIP_STEPS = 2.0, 3  # levels of slip are this far apart, this many e
 CLEARLY = 2.0  # log likelihood that a change must gain
 IMPOSSIBLE = 4.0  # sd from the stated track width
 CONTRADICTED = 0.3  # share of the time that wheels and gyro may disagree about turning
+SKID, SKID_SCALE = 0.6, 0.2  # m, relative: what wheels that skid do to the distance
 OUTLIER = 16.0  # a normalised innovation squared counts no more than this
 MEDIAN_CHI2 = {1: 0.4549, 2: 1.3863, 3: 2.3660}
 
@@ -73,6 +74,9 @@ def trusted_turns(
         return events, numbers, notes
     data = events.data.copy()
     data[events.kind == WHEEL, 1] = np.nan
+    numbers = dataclasses.replace(
+        numbers, skid=max(numbers.skid, SKID), distance_scale_sd=max(numbers.distance_scale_sd, SKID_SCALE)
+    )
     note = f"Wheels and gyro disagree about turning {refused:.0%} of the time (skid steering?): the gyro alone is used."
     return dataclasses.replace(events, data=data), numbers, (note,)
 

@@ -65,6 +65,7 @@ Array = npt.NDArray[np.float64]
 
 START_SPEED, START_TURN = 0.5, 0.5  # m/s, rad/s: sd of both before the first wheel reading
 STILL_SPEED = 1e-3  # m/s, how still rest is
+SKID_TIME = 2.0  # s for which a skid is alike
 STRETCH = 4096  # events that the smoother keeps at a time
 
 
@@ -187,6 +188,7 @@ def _constants(run: Run, events: Events, numbers: Assumptions, rest: Rest | None
         q_scale=numbers.parameter_walk**2,
         q_slip=numbers.slip**2,
         q_side=numbers.side_slip**2,
+        q_skid=numbers.skid**2 * SKID_TIME,
         q_slide=numbers.slide**2,
         q_carried=numbers.carried**2,
         q_carried_turn=numbers.carried_turn**2,
@@ -299,4 +301,3 @@ def smooth(p: Problem, events: Events, disturbances: Disturbances | None = None)
         p.step(events, cut, last, begun, out, rec)
         walk_back(cut, last, begun.row, first_row, events.kind, lam, L, p.n, gyro, events.first_offset, rec, out)
     return forward, _walked(out, state)
-

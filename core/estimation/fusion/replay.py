@@ -1,0 +1,108 @@
+"""Readings that come late or out of order: the filter goes back to before the late one and walks to the present again.
+
+The result is that of the same readings in order, to rounding: nothing is approximated. What comes later than the horizon
+is dropped and counted, as the filter no longer keeps a state that old.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import numpy.typing as npt
+
+from core.errors import ParameterError
+from core.estimation.fusion.events import Events
+from core.estimation.fusion.layout import OUT
+from core.estimation.fusion.walk import Problem, State, tracks
+
+Array = npt.NDArray[np.float64]
+
+EVERY = 64  # events between two kept states
+
+
+class Replay:
+    """A filter for readings as they arrive. `take` them in any order, then look at `state`, `path`, `dropped`.
+
+    horizon [s]: how late a reading may be, by the stamps of the newest one.
+    """
+
+    def __init__(self, problem: Problem, horizon: float) -> None:
+        if not horizon >= 0:
+            raise ParameterError("horizon must be >= 0 s", parameter="horizon", expected=">= 0", found=horizon)
+        self._problem, self._horizon = problem, horizon
+        nothing = np.zeros(0)
+        self._events = Events(nothing, np.zeros(0, np.int64), np.zeros((0, 5)), np.zeros(0, np.int64), nothing)
+        self._kept: list[tuple[int, State]] = [(0, problem.begin.copy())]
+        self._state = problem.begin.copy()
+        self._begin = -np.inf
+        self._rows, self._covariance = np.zeros((0, 5)), np.zeros((0, 3, 3))
+        self._old: list[tuple[Array, Array, Array]] = []
+        self.dropped = 0
+
+    @property
+    def state(self) -> State:
+        """The filter at the newest reading."""
+        return self._state.copy()
+
+    def path(self) -> tuple[Array, Array, Array]:
+        """Stamps (M,), rows (M, 5) of x, y, theta, bias and its variance, covariance (M, 3, 3), by all readings taken."""
+        parts = [*self._old, (self._events.out, self._rows, self._covariance)]
+        t, rows, covariance = (np.concatenate([part[i] for part in parts]) for i in range(3))
+        return t, rows, covariance
+
+    def take(self, t: Array, kind: npt.NDArray[np.int64], data: Array, flags: npt.NDArray[np.int64]) -> None:
+        """Readings (K,) as `layout` describes them, in any order."""
+        fresh = t > self._begin
+        self.dropped += int(np.sum(~fresh))
+        if not fresh.any():
+            return
+        old, first = self._events, float(t[fresh].min())
+        parts = zip((old.t, old.kind, old.data, old.flags), (t, kind, data, flags), strict=True)
+        t, kind, data, flags = (np.concatenate((a, b[fresh])) for a, b in parts)
+        order = np.lexsort((*np.nan_to_num(data.T, nan=np.inf), kind, t))  # nothing is left to the order of arrival
+        t, kind = t[order], kind[order]
+        out = t[kind == OUT]
+        self._events = dataclasses.replace(old, t=t, kind=kind, data=data[order], flags=flags[order], out=out)
+        self._walk_from(int(np.searchsorted(t, first, "left")))
+        self._forget()
+
+    def _walk_from(self, changed: int) -> None:
+        """From the last state before what has changed to the end."""
+        while self._kept[-1][0] > changed:
+            self._kept.pop()
+        at, state = self._kept[-1][0], self._kept[-1][1].copy()
+        out, end = tracks(self._events), len(self._events.t)
+        out.rows[: state.row], out.covariance[: state.row] = self._rows[: state.row], self._covariance[: state.row]
+        while at < end:
+            stop = min(at + EVERY, end)
+            self._problem.step(self._events, at, stop, state, out)
+            at = stop
+            if at < end:
+                self._kept.append((at, state.copy()))
+        self._state, self._rows, self._covariance = state, out.rows, out.covariance
+
+    def _forget(self) -> None:
+        """Drop events that no reading can come before any more."""
+        cut = self._events.t[-1] - self._horizon
+        index = 0
+        for k, (at, _) in enumerate(self._kept):
+            if at > 0 and self._events.t[at - 1] < cut:
+                index = k
+        if not index:
+            return
+        at, state = self._kept[index]
+        e, row = self._events, state.row
+        self._begin = float(e.t[at - 1])
+        self._old.append((e.out[:row], self._rows[:row], self._covariance[:row]))
+        self._rows, self._covariance = self._rows[row:], self._covariance[row:]
+        self._events = dataclasses.replace(
+            e, t=e.t[at:], kind=e.kind[at:], data=e.data[at:], flags=e.flags[at:], out=e.out[row:]
+        )
+        self._kept = [(k - at, _earlier(s, row)) for k, s in self._kept[index:]]
+        self._state = _earlier(self._state, row)
+
+
+def _earlier(state: State, rows: int) -> State:
+    """The state, with rows counted from later on."""
+    return dataclasses.replace(state, row=state.row - rows)

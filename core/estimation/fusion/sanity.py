@@ -1,0 +1,237 @@
+"""What is plainly wrong with a run before anything is estimated: units, signs, mirrored maps, exchanged beacons.
+
+Each check compares two witnesses of the same motion and looks for the factor or sign that a mistake would leave. What
+is found is named, and put right where there is no doubt how; else the sensor is left out. Nothing is guessed from one
+witness alone.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from core.estimation.assumptions import Assumptions
+from core.estimation.cleaning import gyro_readings
+from core.estimation.fusion.start import LONGEST, fit_rigid
+from core.estimation.odometry import arcs, wheel_path
+from core.run import Run
+from core.sensors import ImuLog
+
+Array = npt.NDArray[np.float64]
+Check = Callable[[Run, Assumptions], tuple[Run, tuple[str, ...]]]
+
+DEGREES = 180.0 / math.pi
+GRAVITY = 9.80665
+WINDOW = 0.5  # s over which turns are compared
+TURNS, AGREE = 0.3, 0.8  # rad rms of turning in a window that is enough; least correlation of two witnesses
+NEAR = 1.25  # a factor that is that near to a mistake's is the mistake
+FACTORS = {
+    "degrees in place of radians": DEGREES,
+    "millimetres in place of metres": 1000.0,
+    "centimetres in place of metres": 100.0,
+}
+ENOUGH = 12  # fixes or ranges of one beacon
+MOVED = 1.0  # m that the robot must have driven
+CLEARLY = 5.0  # by how much the right assumption must fit better
+
+
+def sound(run: Run, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
+    """The run with what is plainly wrong put right or left out, and a sentence on each."""
+    notes: tuple[str, ...] = ()
+    for check in CHECKS:
+        run, more = check(run, numbers)
+        notes += more
+    return run, notes
+
+
+def _gravity(run: Run, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
+    """An accelerometer in g, or upside down."""
+    imu = run.imu
+    if imu is None or imu.az is None or not np.isfinite(imu.az).any():
+        return run, ()
+    up = float(np.nanmedian(imu.az))
+    notes: tuple[str, ...] = ()
+    for unit, factor in (("g", GRAVITY), ("mg", GRAVITY / 1000.0)):
+        if 0.9 < abs(up) * factor / GRAVITY < 1.1:
+            scaled = {k: getattr(imu, k) * factor for k in ("ax", "ay", "az") if getattr(imu, k) is not None}
+            imu, up = dataclasses.replace(imu, **scaled), up * factor
+            notes = (f"The accelerometer reads {unit} in place of m/s²: converted.",)
+    if up < -0.5 * GRAVITY:
+        imu = _turned_over(imu)
+        notes += ("The IMU is upside down (gravity reads along its z axis): its y and z axes are turned back.",)
+    return dataclasses.replace(run, imu=imu), notes
+
+
+def _turned_over(imu: ImuLog) -> ImuLog:
+    """As if the IMU were turned by half a turn about its x axis."""
+    turned = {k: -getattr(imu, k) for k in ("gy", "gz", "ay", "az") if getattr(imu, k) is not None}
+    return dataclasses.replace(imu, **turned)
+
+
+def _turning(run: Run, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
+    """The gyro against the wheels' turn: its sign and its unit."""
+    imu, wheels, robot = run.imu, run.wheels, run.meta.robot
+    if imu is None or wheels is None or not robot.track_width or not robot.wheel_radius or len(imu) < 10:
+        return run, ()
+    path = wheel_path(wheels, robot.wheel_radius, robot.track_width)
+    t, gz = gyro_readings(imu)
+    grid = np.arange(max(t[0], path.t[0]), min(t[-1], path.t[-1]), WINDOW)[:4000]
+    if len(grid) < 8:
+        return run, ()
+    turned = np.concatenate(([0.0], np.cumsum(0.5 * (gz[1:] + gz[:-1]) * np.minimum(np.diff(t), 1.0))))
+    by_gyro = np.diff(np.interp(grid, t, turned))
+    by_wheels = np.diff(np.interp(grid, path.t, path.turn))
+    if np.sqrt(np.mean(by_wheels**2)) < TURNS * WINDOW:
+        return run, ()
+    agreement = float(np.corrcoef(by_gyro, by_wheels)[0, 1])
+    slope = float(np.median(np.abs(by_gyro)[_large(by_wheels)] / np.abs(by_wheels)[_large(by_wheels)]))
+    if not abs(agreement) > AGREE:
+        return run, ()
+    notes: tuple[str, ...] = ()
+    if 1 / NEAR < slope / DEGREES < NEAR:
+        imu = dataclasses.replace(imu, gz=imu.gz / DEGREES)
+        notes = ("The gyro reads degrees in place of radians: converted.",)
+    if agreement < 0:
+        right_way_up = imu.az is not None and float(np.nanmedian(imu.az)) > 0.5 * GRAVITY
+        if right_way_up:
+            wheels = dataclasses.replace(wheels, left=wheels.right, right=wheels.left)
+            notes += (
+                "Left and right wheel are exchanged (they turn against the gyro, which is right way up): put right.",
+            )
+        else:
+            imu = dataclasses.replace(imu, gz=-imu.gz)
+            notes += ("The gyro turns against the wheels, as an IMU that is upside down does: its sign is changed.",)
+    return dataclasses.replace(run, imu=imu, wheels=wheels), notes
+
+
+def _large(values: Array) -> npt.NDArray[np.bool_]:
+    return np.asarray(np.abs(values) >= np.quantile(np.abs(values), 0.7))
+
+
+def reckoned(run: Run) -> tuple[Array, Array] | None:
+    """Stamps (N,) and poses (N, 3) by wheels, and gyro where there is one, from the origin; None without wheels."""
+    wheels, robot = run.wheels, run.meta.robot
+    if wheels is None or not robot.wheel_radius or len(wheels) < 2:
+        return None
+    path = wheel_path(wheels, robot.wheel_radius, robot.track_width)
+    turn = path.turn
+    if run.imu is not None and len(run.imu) > 1:
+        t, gz = gyro_readings(run.imu)
+        steps = 0.5 * (gz[1:] + gz[:-1]) * np.minimum(np.diff(t), 1.0)
+        turn = np.interp(path.t, t, np.concatenate(([0.0], np.cumsum(steps))))
+    if not np.isfinite(turn).all():
+        return None
+    return path.t, arcs(path.d, turn)
+
+
+def _leading(run: Run, stamps: Array) -> tuple[Array, npt.NDArray[np.intp]] | None:
+    """Dead-reckoned poses (K, 3) at those of the stamps that lie in the first LONGEST metres, and which."""
+    found = reckoned(run)
+    if found is None or not len(stamps):
+        return None
+    t, pose = found
+    gone = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(pose[:, :2], axis=0).T))))
+    end = t[min(int(np.searchsorted(gone, LONGEST)), len(t) - 1)]
+    rows = np.flatnonzero((stamps >= t[0]) & (stamps <= end))[:2000]
+    at = np.column_stack([np.interp(stamps[rows], t, column) for column in pose.T])
+    return (at, rows) if len(rows) >= ENOUGH and np.ptp(at[:, :2], axis=0).max() > 1e-9 else None
+
+
+def _fixes(run: Run, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
+    """Fixes against the dead-reckoned path: their unit, and a map that is mirrored."""
+    fixes = run.beacon
+    stretch = _leading(run, fixes.t) if fixes is not None else None
+    if fixes is None or stretch is None:
+        return run, ()
+    at, rows = stretch
+    xy = np.column_stack((fixes.x, fixes.y)).astype(np.float64)[rows]
+    good = np.isfinite(xy).all(axis=1)
+    xy, local = xy[good], at[good, :2]
+    if len(xy) < ENOUGH:
+        return run, ()
+    spread = float(np.sqrt(np.mean(np.sum((local - np.median(local, axis=0)) ** 2, axis=1))))
+    seen = float(np.median(np.hypot(*(xy - np.median(xy, axis=0)).T)))
+    moved = float(np.median(np.hypot(*(local - np.median(local, axis=0)).T)))
+    if spread < 0.3 * MOVED or seen < 5 * numbers.fix_xy or moved <= 0:
+        return run, ()
+    for words, factor in FACTORS.items():
+        if 1 / NEAR < seen / moved / factor < NEAR and words.endswith("metres"):
+            fixes = dataclasses.replace(fixes, x=fixes.x / factor, y=fixes.y / factor)
+            return dataclasses.replace(run, beacon=fixes), (f"Fixes read {words}: converted.",)
+        if 1 / NEAR < moved / seen / factor < NEAR and words.startswith("degrees") and run.wheels is not None:
+            w = run.wheels
+            wheels = dataclasses.replace(w, left=w.left / factor, right=w.right / factor)
+            return dataclasses.replace(run, wheels=wheels), (f"The wheels read {words}: converted.",)
+    return _mirrored(run, local, xy, numbers)
+
+
+def _mirrored(run: Run, local: Array, xy: Array, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
+    plain, turned = (_misfit(local * np.array((1.0, sign)), xy, numbers.fix_xy) for sign in (1.0, -1.0))
+    if plain < CLEARLY * max(turned, numbers.fix_xy) or plain < 0.3:
+        return run, ()
+    note = (
+        "The fixes' map is mirrored: they turn the other way round than wheels and gyro. They are left out; check the "
+        "sign of y in the beacon system."
+    )
+    return dataclasses.replace(run, beacon=None), (note,)
+
+
+def _misfit(local: Array, xy: Array, sd: float) -> float:
+    """Median distance [m] between fixes and the path laid over them."""
+    pose, _ = fit_rigid(local, xy, sd)
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    x, y = pose[0] + cos * local[:, 0] - sin * local[:, 1], pose[1] + sin * local[:, 0] + cos * local[:, 1]
+    return float(np.median(np.hypot(x - xy[:, 0], y - xy[:, 1])))
+
+
+def _beacons(run: Run, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
+    """Ranges against the dead-reckoned path from a known start: two beacons whose names are exchanged."""
+    log, start = run.ranges, run.meta.start
+    notes = _one_line(run)
+    stretch = _leading(run, log.t) if log is not None else None
+    if log is None or start is None or stretch is None:
+        return run, notes
+    at, rows = stretch
+    cos, sin = math.cos(start.theta), math.sin(start.theta)
+    x, y = start.x + cos * at[:, 0] - sin * at[:, 1], start.y + sin * at[:, 0] + cos * at[:, 1]
+    names = [name for name in log.names if name in run.meta.beacons]
+    ranges, which = np.asarray(log.range, np.float64)[rows], log.beacon[rows]
+
+    def misfit(name: str, place: str) -> float:
+        mine = (which == log.names.index(name)) & np.isfinite(ranges)
+        bx, by, bz = run.meta.beacons[place]
+        far = np.sqrt((x[mine] - bx) ** 2 + (y[mine] - by) ** 2 + (run.meta.robot.tag.z - bz) ** 2)
+        return float(np.median(np.abs(ranges[mine] - far))) if mine.sum() >= ENOUGH // 2 else np.nan
+
+    limit = 3 * numbers.range + 0.3
+    for a, b in itertools.combinations(names, 2):
+        now, then = (misfit(a, a), misfit(b, b)), (misfit(a, b), misfit(b, a))
+        if min(now) > limit and max(then) < limit and min(now) > CLEARLY * max(then):
+            beacons = {**run.meta.beacons, a: run.meta.beacons[b], b: run.meta.beacons[a]}
+            note = f"Beacons {a} and {b} are exchanged: their ranges fit each other's place. Put right."
+            run = dataclasses.replace(run, meta=dataclasses.replace(run.meta, beacons=beacons))
+            return run, (*notes, note)
+    return run, notes
+
+
+def _one_line(run: Run) -> tuple[str, ...]:
+    if run.ranges is None:
+        return ()
+    places = [run.meta.beacons[name][:2] for name in run.ranges.names if name in run.meta.beacons]
+    if not places:
+        return ()
+    xy = np.array(places)
+    spread = np.linalg.svd(xy - xy.mean(axis=0), compute_uv=False)
+    if len(places) > 2 and spread[1] > 1e-3 * max(float(spread[0]), 1e-9):
+        return ()
+    return (
+        "The beacons stand on one line: ranges alone cannot tell its two sides apart, only the start and turns can.",
+    )
+
+
+CHECKS: tuple[Check, ...] = (_gravity, _turning, _fixes, _beacons)
