@@ -1,1 +1,1 @@
-"""Calibrations in the languages of other programs: pure functions from a calibration to text."""
+"""Calibrations and effect sets in the languages of other programs: pure functions from them to text."""
