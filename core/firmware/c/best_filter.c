@@ -30,66 +30,58 @@ static remainder_of left_over(const ds_bias *s, uint32_t since)
     return left;
 }
 
-/* p = f p f^T, with f that of the block; moving, the heading loses the bias, resting, it gains what is left. */
-static void predict_covariance(float p[N][N], bool rests, float kelvin, float keep)
+/* p = f p f^T, with f that of the block: the heading gains `into` times the other states, which keep `keep` of
+ * themselves. */
+static void predict_covariance(float p[N][N], const float into[N], const float keep[N])
 {
-    float f[N][N] = {{0.0f}};
-    float work[N][N];
-    f[0][0] = 1.0f;
-    f[1][1] = 1.0f;
-    f[2][2] = DS_MARKOV_KEEP;
-    f[3][3] = 1.0f;
-    if (rests) {
-        f[0][4] = 0.5f * DS_BLOCK_S * (1.0f + keep);
-        f[4][4] = keep;
-    } else {
-        f[0][1] = -DS_BLOCK_S;
-        f[0][2] = -DS_BLOCK_S;
-        f[0][3] = -DS_BLOCK_S * kelvin;
-    }
-    for (size_t i = 0U; i < N; i++) {
-        for (size_t j = 0U; j < N; j++) {
-            work[i][j] = 0.0f;
-            for (size_t k = 0U; k < N; k++) {
-                work[i][j] += f[i][k] * p[k][j];
-            }
+    float gained[N] = {0.0f};
+    for (size_t j = 0U; j < N; j++) {
+        for (size_t k = 1U; k < N; k++) {
+            gained[j] += into[k] * p[k][j];
         }
+    }
+    for (size_t j = 0U; j < N; j++) {
+        p[0][j] += gained[j];
+    }
+    for (size_t k = 1U; k < N; k++) {
+        p[0][0] += into[k] * p[0][k];
     }
     for (size_t i = 0U; i < N; i++) {
         for (size_t j = i; j < N; j++) {
-            float sum = 0.0f;
-            for (size_t k = 0U; k < N; k++) {
-                sum += work[i][k] * f[j][k];
-            }
-            p[i][j] = sum;
-            p[j][i] = sum;
+            p[i][j] *= keep[i] * keep[j];
+            p[j][i] = p[i][j];
         }
     }
 }
 
-/* Joseph's form, (1 - g h) p (1 - g h)^T + g r g^T: a first rest shrinks the bias' variance by nine digits, more than
- * float32 has for a difference. */
+/* Joseph's form, (1 - g h) p (1 - g h)^T + g r g^T, a side at a time: a first rest shrinks the bias' variance by nine
+ * digits, more than float32 has for a difference. */
 static void update_covariance(float p[N][N], const float gain[N], const float h[N], float noise)
 {
-    float work[N][N];
-    for (size_t i = 0U; i < N; i++) {
-        for (size_t j = 0U; j < N; j++) {
-            work[i][j] = 0.0f;
-            for (size_t k = 0U; k < N; k++) {
-                const float a = ((i == k) ? 1.0f : 0.0f) - (gain[i] * h[k]);
-                work[i][j] += a * p[k][j];
-            }
+    float seen[N] = {0.0f};
+    for (size_t j = 0U; j < N; j++) {
+        for (size_t k = 1U; k < N; k++) {
+            seen[j] += h[k] * p[k][j];
         }
     }
     for (size_t i = 0U; i < N; i++) {
-        for (size_t j = i; j < N; j++) {
-            float sum = gain[i] * noise * gain[j];
-            for (size_t k = 0U; k < N; k++) {
-                const float a = ((j == k) ? 1.0f : 0.0f) - (gain[j] * h[k]);
-                sum += work[i][k] * a;
-            }
-            p[i][j] = sum;
-            p[j][i] = sum;
+        for (size_t j = 0U; j < N; j++) {
+            p[i][j] -= gain[i] * seen[j];
+        }
+    }
+    for (size_t i = 0U; i < N; i++) {
+        float left = 0.0f;
+        for (size_t k = 1U; k < N; k++) {
+            left += p[i][k] * h[k];
+        }
+        for (size_t j = 0U; j < N; j++) {
+            p[i][j] += gain[j] * ((noise * gain[i]) - left);
+        }
+    }
+    for (size_t i = 0U; i < N; i++) {
+        for (size_t j = i + 1U; j < N; j++) {
+            p[i][j] = 0.5f * (p[i][j] + p[j][i]);
+            p[j][i] = p[i][j];
         }
     }
 }
@@ -168,6 +160,42 @@ static void follow_marks(ds_bias *s, uint32_t k)
     }
 }
 
+/* A block in movement: the heading turns by the readings less the bias. */
+static void move(ds_filter *filter, const ds_block *b, float white)
+{
+    const float into[N] = {0.0f, -DS_BLOCK_S, -DS_BLOCK_S, -DS_BLOCK_S * b->kelvin, 0.0f};
+    const float keep[N] = {1.0f, 1.0f, DS_MARKOV_KEEP, 1.0f, 0.0f};
+    filter->heading = ds_sum_add(filter->heading, b->angle);
+    filter->heading = ds_sum_add(filter->heading, -(DS_BLOCK_S * bias_of(filter, b->kelvin)));
+    filter->x[3] = 0.0f;
+    predict_covariance(filter->p, into, keep);
+    filter->p[0][0] += (white * DS_BLOCK_S) + b->lost;
+}
+
+/* A block at rest: the heading turns by what is left of the movement. */
+static void rest(ds_filter *filter, const remainder_of *left)
+{
+    const float gained = 0.5f * DS_BLOCK_S * (1.0f + left->keep);
+    const float into[N] = {0.0f, 0.0f, 0.0f, 0.0f, gained};
+    const float keep[N] = {1.0f, 1.0f, DS_MARKOV_KEEP, 1.0f, left->keep};
+    filter->heading = ds_sum_add(filter->heading, gained * filter->x[3]);
+    filter->heading = ds_sum_add(filter->heading, DS_BLOCK_S * left->mean);
+    filter->x[3] *= left->keep;
+    predict_covariance(filter->p, into, keep);
+    filter->p[4][4] += left->fresh;
+}
+
+/* What a stop's beginning may hide; all of it where the movement ended unheard. */
+static void begin_rest(ds_bias *s, uint32_t k, float white)
+{
+    const ds_block *const b = &ds_slot_of(s, k)->block;
+    s->filter.p[0][0] += DS_STOP * DS_STOP * white;
+    if ((k > 0U) && (ds_slot_of(s, k - 1U)->block.count < 2.0f)) {
+        s->filter.heading = ds_sum_add(s->filter.heading, b->angle - (DS_BLOCK_S * b->raw));
+        s->filter.p[0][0] += b->lost;
+    }
+}
+
 void ds_advance(ds_bias *s, uint32_t k)
 {
     ds_slot *const slot = ds_slot_of(s, k);
@@ -182,33 +210,19 @@ void ds_advance(ds_bias *s, uint32_t k)
     follow_marks(s, k);
     if (slot->mark.rests) {
         if (slot->mark.since == 0U) {
-            filter->p[0][0] += DS_STOP * DS_STOP * white;
-            if ((k > 0U) && (ds_slot_of(s, k - 1U)->block.count < 2.0f)) { /* the movement ended unheard */
-                filter->heading = ds_sum_add(filter->heading, b->angle - (DS_BLOCK_S * b->raw));
-                filter->p[0][0] += b->lost;
-            }
+            begin_rest(s, k, white);
         }
         left = left_over(s, slot->mark.since);
         left.mean *= slot->mark.sign;
-        filter->heading = ds_sum_add(filter->heading, (0.5f * DS_BLOCK_S * (1.0f + left.keep)) * filter->x[3]);
-        filter->heading = ds_sum_add(filter->heading, DS_BLOCK_S * left.mean);
-        filter->x[3] *= left.keep;
+        rest(filter, &left);
     } else {
-        filter->heading = ds_sum_add(filter->heading, b->angle);
-        filter->heading = ds_sum_add(filter->heading, -(DS_BLOCK_S * bias_of(filter, b->kelvin)));
-        filter->x[3] = 0.0f;
+        move(filter, b, white);
     }
     filter->x[1] *= DS_MARKOV_KEEP;
-    predict_covariance(filter->p, slot->mark.rests, b->kelvin, left.keep);
     filter->p[1][1] += s->level.walk * DS_BLOCK_S;
     filter->p[2][2] += s->level.swing * DS_MARKOV_FRESH;
-    if (slot->mark.rests) {
-        filter->p[4][4] += left.fresh;
-        if (b->count >= 2.0f) {
-            update(filter, b, left.mean, ds_noise_of(&s->level, b->count));
-        }
-    } else {
-        filter->p[0][0] += (white * DS_BLOCK_S) + b->lost;
+    if (slot->mark.rests && (b->count >= 2.0f)) {
+        update(filter, b, left.mean, ds_noise_of(&s->level, b->count));
     }
     filter->heading = ds_angle_wrap(filter->heading);
     slot->bias = bias_of(filter, b->kelvin);
