@@ -89,6 +89,29 @@ def whiten_poses(
 
 
 @compiled
+def whiten_walk(t: Array, sigma: Array, density: float, values: Array) -> float:
+    """Innovations of readings (M, N), in place, whose offset walks from 0 at t = 0; returns the sum of log variances.
+
+    sigma (N,): white noise; density: of the walk, per root of a second. As `whiten_poses`, over standard deviations.
+    """
+    sides, n = values.shape
+    offset = np.zeros(sides)
+    p, last, logs = 0.0, 0.0, 0.0
+    for k in range(n):
+        p += density * density * max(t[k] - last, 0.0)
+        last = max(t[k], last)
+        s = p + sigma[k] * sigma[k]
+        gain, root = p / s, 1.0 / np.sqrt(s)
+        logs += np.log(s)
+        for m in range(sides):
+            e = values[m, k] - offset[m]
+            offset[m] += gain * e
+            values[m, k] = e * root
+        p *= 1.0 - gain
+    return logs
+
+
+@compiled
 def step(pose: Array, increment: Array) -> Array:
     """A pose, moved by an increment (x, y, theta) in its own frame."""
     c, s = np.cos(pose[2]), np.sin(pose[2])

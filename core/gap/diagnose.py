@@ -25,7 +25,7 @@ from core.gap.judge import is_material, odds, probabilities, values_of
 from core.gap.linear import Problem, with_floor
 from core.gap.reference import restarts_of
 from core.gap.selection import WORTH
-from core.gap.shrink import figures, floors, replay
+from core.gap.shrink import NOISES, figures, floors, replay
 from core.gap.types import Cause, Config, Diagnosis, Immaterial, Place, Rejected, Unexplained, Unseen, Value
 from core.gap.unknown import depends_on, matters, rest_of, stream_of, touching, words
 from core.gap.where import where
@@ -86,8 +86,8 @@ def reach_of(worlds: Sequence[World]) -> Reach:
         for side in (world.body_inputs.left, world.body_inputs.right):
             speed = max(speed, float(np.abs(side[:, 0]).max(initial=0.0)))
             acceleration = max(acceleration, float(np.quantile(np.abs(side[:, 1]), 0.999)) if len(side) else 0.0)
-        if "imu.gz" in world.readings:
-            turn = max(turn, float(np.abs(world.readings["imu.gz"]).max(initial=0.0)))
+        rate = world.body_inputs.right[:, 0] - world.body_inputs.left[:, 0]
+        turn = max(turn, float(np.abs(rate).max(initial=0.0)) / (world.run.meta.robot.track_width or 1.0))
     return Reach(speed, acceleration, turn)
 
 
@@ -116,7 +116,9 @@ def conclude(
     gap, _ = figures(kept or fitted_on, floor, {**small, **fitted, **noises}, noises, bool(kept), config.seed)
     replays = [replay(world, [{}], floor)[0] for world in fitted_on]
     place = _place_of(fitted | noises)
-    spots = where(fitted_on, replays, floors(fitted_on[0], floor), place, {**fitted, **noises})
+    levels = floors(fitted_on[0], floor)
+    levels |= {name: 1.0 for effect in noises for name in NOISES[effect] if name in levels}
+    spots = where(fitted_on, replays, levels, place, {**fitted, **noises})
     shares = _shares(found, material)
     causes = [
         Cause(name, p, shares.get(name, 0.0), values.get(name, {}), _confusable(name, found))
@@ -242,8 +244,8 @@ def unseen(found: Search, reach: Reach) -> tuple[Unseen, ...]:
     for effect in EFFECTS.values():
         if not any(set(effect.streams) & set(one.fit.normal.channels) for one in found.links):
             for parameter in effect.parameters:
-                if tolerance(effect.id, parameter.name, reach) is not None:
-                    out.append(Unseen(effect.id, parameter.name, None))
+                small = tolerance(effect.id, parameter.name, reach)
+                out += [Unseen(effect.id, parameter.name, None)] if small is not None else []
     return tuple(out)
 
 

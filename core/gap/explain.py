@@ -91,8 +91,7 @@ def _missed(problem: Problem, wheels: Found, drive: Sequence[Candidate], ticks: 
     normal = linearise(wheels.problem, fit.model, ticks, "wheels")
     if gains_of(normal, len(fit.parameters), ticks)[0] < WORTH:
         return None
-    start = {**fit.model, "missed_ticks": dict(ticks[0].start)}
-    found = search(wheels.problem, [c for c in drive if c.effect != "drive_gain"], "wheels", start)
+    found = search(problem, [*(c for c in drive if c.effect != "drive_gain"), *ticks], "wheels")
     lost = found.fit.model.get("missed_ticks", {"left": 0.0, "right": 0.0})
     small = EFFECTS["missed_ticks"].parameter("left").small or 0.0
     return found if max(abs(float(v)) for v in lost.values()) > small else None
@@ -111,12 +110,14 @@ def _price(*links: Found) -> float:
 def _finish(wheels: Found | None, body: Found, tried: Sequence[Candidate]) -> Search:
     """Noise effects, a walking bias in place of mean ones, and what is left."""
     rests = {"body": rest_of(body.problem, body.fit)}
-    before = body
-    body, walk = _walking(body, rests["body"])
-    if body is not before:
+    walk = _walking(body, rests["body"])
+    if walk is not None:  # a walk follows anything slow: the others are asked again beside it
+        floor = dataclasses.replace(body.problem.floor, gyro_walk=walk.parameters["density"][0])
+        acting = [c for c in tried if EFFECTS[c.effect].family != "drive" or not body.problem.leads]
+        acting = [c for c in acting if c.effect != "missed_ticks"]
+        body = search(dataclasses.replace(body.problem, floor=floor), acting, "body")
         rests["body"] = rest_of(body.problem, body.fit)
-    white, _ = whitened(body.problem, body.fit.model, (), "body")
-    noises = scatters(body.problem, white, list(body.problem.known))
+    noises = scatters(body.problem, body.fit.model, list(body.problem.known))
     if walk is not None and "gyro_walk" not in body.problem.known:
         noises.append(walk)
     if wheels is not None:
@@ -124,34 +125,44 @@ def _finish(wheels: Found | None, body: Found, tried: Sequence[Candidate]) -> Se
     return Search(wheels, body, rests, tuple(noises))
 
 
-def _walking(body: Found, left: Rest) -> tuple[Found, Scatter | None]:
+def _walking(body: Found, left: Rest) -> Scatter | None:
     """A random walk of the gyro's bias, alone or in place of the mean effects that it passes for.
 
     Not where one shape of what the robot does takes more than a walk would: a walk follows anything slow.
     """
-    if "imu.gz" not in body.problem.floor.sigma:
-        return body, None
+    if "imu.gz" not in body.problem.floor.sigma or "gyro_walk" in body.problem.known:
+        return None
     mean = [name for name in MEAN_GYRO if name in body.fit.model]
     rest = {name: values for name, values in body.fit.model.items() if name not in mean}
     bare = refit(body.problem, rest, "body", 2) if mean else body.fit
-    walk, gain = gyro_walk(body.problem, _gyro_left(body.problem, bare))
+    bare_left = _gyro_left(body.problem, bare)
+    walk, gain = gyro_walk(body.problem, bare_left)
     shaped = max((value for shape, value in left.shapes if stream_of(shape) == "imu.gz"), default=0.0)
-    if walk is None or gain < 1.5 * shaped:
-        return body, None
+    if walk is None or gain < shaped:
+        return None
     if mean:
-        sigma = body.problem.floor.sigma["imu.gz"]
-        none = DENSITIES[:1]
-        parts = [(block_means(t, v)) for t, v in _gyro_left(body.problem, body.fit)]
-        with_mean = sum(float(walk_costs(t, m, sigma**2 / n, none)[0]) for t, m, n in parts)
-        parts = [(block_means(t, v)) for t, v in _gyro_left(body.problem, bare)]
-        without = sum(float(walk_costs(t, m, sigma**2 / n, none)[0]) for t, m, n in parts)
-        if gain < without - with_mean - PER_PARAMETER * len(mean):
-            return body, None
-        return dataclasses.replace(body, fit=bare), walk
-    return body, walk
+        without, beside = (_steady_cost(body.problem, rows) for rows in (bare_left, _gyro_left(body.problem, body.fit)))
+        if gain < without - beside - PER_PARAMETER * len(mean):
+            return None
+    return walk
+
+
+def _steady_cost(problem: Problem, residuals: Sequence[tuple[Array, Array]]) -> float:
+    """-2 log likelihood of gyro residuals without any walk, on the scale of `walk_costs`."""
+    sigma = problem.floor.sigma["imu.gz"]
+    parts = [block_means(t, values) for t, values in residuals]
+    return sum(float(walk_costs(t, mean, sigma**2 / n, DENSITIES[:1])[0]) for t, mean, n in parts)
 
 
 def _gyro_left(problem: Problem, fit: Fit) -> list[tuple[Array, Array]]:
-    white, _ = whitened(problem, fit.model, (), "body")
+    """Stamps and what a fit leaves of the gyro [rad/s], per run."""
+    plain = dataclasses.replace(problem, floor=dataclasses.replace(problem.floor, gyro_walk=0.0))
+    white, _ = whitened(plain, fit.model, (), "body")
     sigma = problem.floor.sigma["imu.gz"]
-    return [(one["imu.gz"].t, one["imu.gz"].residual * sigma) for one in white if "imu.gz" in one]
+    limit = float(fit.model.get("gyro_clip", {}).get("limit", np.inf)) - 4.0 * sigma
+    out = []
+    for world, one in zip(problem.worlds, white, strict=True):
+        if "imu.gz" in one:  # at its clip a gyro's noise has one side: that is no offset
+            free = np.abs(world.readings["imu.gz"]) < limit
+            out.append((one["imu.gz"].t[free], one["imu.gz"].residual[free] * sigma))
+    return out

@@ -34,7 +34,7 @@ class Floor:
     """White noise per channel, one sigma per reading; `sd` is its own relative uncertainty; `sheet` what is stated.
 
     vibration: k of sd² = sigma² + (k*v)² for both accelerometer axes. walk: how the pose strays from the model, in rad
-    of heading per root of m driven.
+    of heading per root of m driven. gyro_walk: density of the gyro's bias walk, where one was found [rad/s/√s].
     """
 
     sigma: Mapping[str, float]
@@ -42,6 +42,7 @@ class Floor:
     sheet: Mapping[str, float]
     vibration: float = 0.0
     walk: float = 1e-5
+    gyro_walk: float = 0.0
 
 
 def wrap(values: Array) -> Array:
@@ -97,6 +98,10 @@ def measure(worlds: list[World], residuals: Sequence[Mapping[str, Array]], speed
             sigma[name], sd[name] = sheet.get(name, FALLBACK.get(name, 0.05)), 1.0
             continue
         sigma[name] = float(np.median(np.abs(far))) / NORMAL_MEDIAN
+        if name.startswith(("beacon", "ranges")):  # outliers sit in four differences each, but in one residual
+            plain = np.concatenate([r[name] for r in residuals if name in r])
+            direct = float(np.median(np.abs(plain - np.median(plain)))) / NORMAL_MEDIAN
+            sigma[name] = direct if direct < 0.93 * sigma[name] else sigma[name]
         sd[name] = 1.5 / float(np.sqrt(len(far)))
         if name in WHEELS and name in sheet:  # rounding is no white noise: its differences say more than there is
             rounding = sheet[name] / np.sqrt(2.0)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from core.gap.floor import wrap
 from core.gap.linear import Problem, White
-from core.gap.whiten import events_of, imu_sigma, jumps_of, residuals_of, white_poses, white_wheels
+from core.gap.whiten import events_of, imu_sigma, jumps_of, residuals_of, white_imu, white_poses, white_wheels
 from core.gap.world import IMU, WHEELS, World
 from core.robot import EffectSet
 from core.simulation._batch_numba import Outputs
@@ -208,7 +208,7 @@ def _body_rows(problem: Problem, world: World, model: EffectSet) -> dict[str, li
     sigma = {name: imu_sigma(world, name, body, problem.floor) for name in IMU if name in rows}
     for name in sigma:
         keep = world.keep(name)
-        rows[name] += [(shape, value[keep] / sigma[name]) for shape, value in imu_shapes(name, r).items()]
+        rows[name] += [(shape, value[keep]) for shape, value in imu_shapes(name, r).items()]
     residuals = residuals_of(
         world, {name: np.zeros((1, len(world.run.wheels))) for name in WHEELS} if world.run.wheels else {}, body
     )
@@ -218,7 +218,10 @@ def _body_rows(problem: Problem, world: World, model: EffectSet) -> dict[str, li
         for name in sigma:
             keep = world.keep(name)
             for shape, motion in motions.items():
-                rows[name].append((shape, _felt(world, name, motion, r)[keep] / sigma[name]))
+                rows[name].append((shape, _felt(world, name, motion, r)[keep]))
+    for name in sigma:
+        white = white_imu(world, name, np.array([row for _, row in rows[name]]), sigma[name], problem.floor)
+        rows[name] = [(shape, row) for (shape, _), row in zip(rows[name], white, strict=True)]
     if events is None:
         return rows
     stacked: list[Shape] = []
@@ -244,9 +247,9 @@ def _body_rows(problem: Problem, world: World, model: EffectSet) -> dict[str, li
                 values[name].append(_seen(world, body, name, moved))
     if not stacked:
         return rows
-    white, _ = white_poses(events, {n: np.array(v) for n, v in values.items()}, np.array(jumps), problem.floor.walk)
+    posed, _ = white_poses(events, {n: np.array(v) for n, v in values.items()}, np.array(jumps), problem.floor.walk)
     for name in events.names:
-        rows[name] += list(zip(stacked, white[name], strict=True))
+        rows[name] += list(zip(stacked, posed[name], strict=True))
     return rows
 
 

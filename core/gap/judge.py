@@ -16,8 +16,9 @@ from core.robot import EffectSet
 
 Array = npt.NDArray[np.float64]
 
-TEMPER = 0.002
-"""Rivals within this share of an effect's own drop are not told apart: no model is exact to more than that."""
+TEMPER, LEFT = 2e-4, 0.05
+"""Rivals are not told apart by less than this share of an effect's own drop, nor of what its model leaves over the
+noise: no model is exact to more than that."""
 SURE = 0.985
 """No probability is higher: the world may hold what no candidate is."""
 LEAST = {
@@ -83,13 +84,15 @@ def is_material(effect: str, values: Mapping[str, float | str], known: EffectSet
 def odds(found: Found) -> dict[str, dict[str, float]]:
     """Per effect of the model, each rival's weight against it: exp(-difference of costs / 2), tempered."""
     out: dict[str, dict[str, float]] = {}
+    n = float(found.fit.normal.n.sum())
+    left = max(float(found.fit.normal.c.sum()) - n - 4.0 * float(np.sqrt(2.0 * n)), 0.0)
     for step in found.steps:
         if not step.action.startswith("add "):
             continue
         name = step.action[4:]
         gains = dict(step.gains)
         own = gains.get(name, 0.0)
-        heat = 2.0 * (1.0 + TEMPER * own)
+        heat = 2.0 * (1.0 + TEMPER * own + LEFT * left)
         out[name] = {
             rival: float(np.exp(-min(max(own - gain, 0.0) / heat, 50.0)))
             for rival, gain in gains.items()

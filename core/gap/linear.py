@@ -24,6 +24,7 @@ from core.gap.whiten import (
     imu_sigma,
     jumps_of,
     residuals_of,
+    white_imu,
     white_poses,
     white_wheels,
 )
@@ -126,7 +127,8 @@ def with_floor(problem: Problem, model: EffectSet) -> Problem:
         if found is not None:
             events.append((found, residual, jumps_of(world, body)))
     walk = best_walk(events) if events else floor.walk
-    return dataclasses.replace(problem, floor=dataclasses.replace(floor, walk=walk))
+    kept = problem.floor.gyro_walk
+    return dataclasses.replace(problem, floor=dataclasses.replace(floor, walk=walk, gyro_walk=kept))
 
 
 def columns_of(model: EffectSet, tried: Sequence[Candidate], spread: float = 1.0) -> list[Column]:
@@ -240,7 +242,8 @@ def _white_body(
     logs = 0.0
     for name in names:
         if name in IMU:
-            rows = np.concatenate(parts[name]) / imu_sigma(world, name, base, problem.floor)
+            sigma = imu_sigma(world, name, base, problem.floor)
+            rows = white_imu(world, name, np.concatenate(parts[name]), sigma, problem.floor)
             white[name] = White(world.times[name], rows[0], rows[1:], np.array(index[name], dtype=np.int64))
     if events is not None:
         stacked = {name: np.concatenate(parts[name]) for name in events.names}

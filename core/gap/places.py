@@ -165,6 +165,13 @@ def polish(
     neighbourhoods least squares sees nothing.
     """
     best, lowest = dict(start), cost(start)
+    rng = np.random.default_rng(0)
+    for away in rng.normal(0.0, 0.7 * steps[0], (SCATTERED, 3)):
+        x, y, radius = (float(best[name]) + float(d) for name, d in zip(("x", "y", "radius"), away, strict=True))
+        tried = {**best, "x": x, "y": y, "radius": max(radius, 0.02)}
+        value = cost(tried)
+        if value < lowest - 1.0:
+            best, lowest = tried, value
     for step in steps:
         for _ in range(4):
             moved = False
@@ -183,5 +190,10 @@ def polish(
     return best
 
 
-EDGES = ((1, 0, 1), (1, 0, -1), (-1, 0, 1), (-1, 0, -1), (0, 1, 1), (0, 1, -1), (0, -1, 1), (0, -1, -1))
-"""Moves of (x, y, radius) that shift one side of a disc, in halves of a step."""
+SCATTERED = 40
+"""Discs tried by chance around the first, before its edges are moved."""
+EDGES = (
+    (1, 0, 1), (1, 0, -1), (-1, 0, 1), (-1, 0, -1), (0, 1, 1), (0, 1, -1), (0, -1, 1), (0, -1, -1),
+    (0, 0, 1), (0, 0, -1), (1, 1, 0), (1, -1, 0), (-1, 1, 0), (-1, -1, 0), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0),
+)  # fmt: skip
+"""Moves of (x, y, radius), in halves of a step: one side of the disc, all sides, the whole disc."""

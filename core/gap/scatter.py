@@ -6,15 +6,16 @@ factor, the sheet is wrong, not a sensor. A gyro's walk is judged against the me
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from core.gap.floor import Floor
-from core.gap.linear import Problem, White
+from core.gap.linear import Problem
 from core.gap.world import World
+from core.robot import EffectSet
 
 Array = npt.NDArray[np.float64]
 
@@ -39,9 +40,9 @@ class Scatter:
     gain: float
 
 
-def scatters(problem: Problem, white: Sequence[Mapping[str, White]], known: Sequence[str]) -> list[Scatter]:
+def scatters(problem: Problem, model: EffectSet, known: Sequence[str]) -> list[Scatter]:
     """Every noise effect that the residuals show at all; the caller judges size. known: already modelled, skipped."""
-    found = [*levels(problem.floor), vibration(problem), outliers(problem, white), shadow(problem)]
+    found = [*levels(problem.floor), vibration(problem), *outliers(problem, model), shadow(problem)]
     return [one for one in found if one is not None and one.effect not in known]
 
 
@@ -130,43 +131,52 @@ def gyro_walk(problem: Problem, residuals: Sequence[tuple[Array, Array]]) -> tup
     return Scatter("gyro_walk", {"density": (float(DENSITIES[best]), sd)}, gain), gain
 
 
-def outliers(problem: Problem, white: Sequence[Mapping[str, White]]) -> Scatter | None:
-    """`beacon_outliers`: a second, wider normal distribution among fixes and ranges, by expectation-maximisation."""
+def outliers(problem: Problem, model: EffectSet) -> list[Scatter]:
+    """`beacon_outliers`, and the noise level beside them: two normal distributions, by expectation-maximisation."""
     sets: list[Array] = []
-    for world, one in zip(problem.worlds, white, strict=True):
-        sets += _errors(problem, world, one)
+    for world in problem.worlds:
+        sets += _errors(problem, world, model)
     if not sets:
-        return None
+        return []
     squares = np.concatenate([np.sum(e**2, axis=0) / len(e) for e in sets])
     if int((squares > FAR**2).sum()) < LEAST:
-        return None
-    rate, wide = 0.05, 5.0
-    for _ in range(60):
-        near = [np.exp(-0.5 * np.sum(e**2, axis=0)) for e in sets]
-        far = [wide ** -len(e) * np.exp(-0.5 * np.sum(e**2, axis=0) / wide**2) for e in sets]
-        share = [rate * b / np.maximum((1 - rate) * a + rate * b, 1e-300) for a, b in zip(near, far, strict=True)]
-        weight = sum(float(s.sum()) for s in share)
-        rate = weight / sum(len(s) for s in share)
-        power = sum(float((s * np.sum(e**2, axis=0)).sum()) for s, e in zip(share, sets, strict=True))
-        wide = float(
-            np.sqrt(max(power / max(sum(float(s.sum()) * len(e) for s, e in zip(share, sets, strict=True)), 1e-9), 4.0))
-        )
-    n = sum(len(s) for s in share)
+        return []
+    rate, near, wide = 0.05, 1.0, 6.0
+    for _ in range(80):
+        powers = [np.sum(e**2, axis=0) for e in sets]
+        inner = [(1.0 - rate) * near ** -len(e) * np.exp(-0.5 * q / near**2) for e, q in zip(sets, powers, strict=True)]
+        outer = [rate * wide ** -len(e) * np.exp(-0.5 * q / wide**2) for e, q in zip(sets, powers, strict=True)]
+        share = [b / np.maximum(a + b, 1e-300) for a, b in zip(inner, outer, strict=True)]
+        count = sum(float(s.sum()) for s in share)
+        n = sum(len(s) for s in share)
+        rate = count / n
+        wide = np.sqrt(_mean_square(share, powers, sets))
+        near = np.sqrt(_mean_square([1.0 - s for s in share], powers, sets))
+        wide = max(wide, 2.0 * near)
     names = [name for name in ("beacon.x", "ranges.range") if name in problem.floor.sigma]
-    size = float(np.sqrt(wide**2 - 1.0)) * float(np.mean([problem.floor.sigma[name] for name in names]))
-    hits = rate * n
-    rate_sd = float(np.sqrt(rate * (1.0 - rate) / n)) * 1.2
-    return Scatter(
-        "beacon_outliers", {"rate": (rate, rate_sd), "size": (size, size / np.sqrt(2.0 * max(hits, 1.0)))}, 4.0 * hits
-    )
+    unit = float(np.mean([problem.floor.sigma[name] for name in names]))
+    size = float(np.sqrt(wide**2 - near**2)) * unit
+    sd = float(np.sqrt(rate * (1.0 - rate) / n)) * 1.2
+    hits = max(rate * n, 1.0)
+    return [Scatter("beacon_outliers", {"rate": (rate, sd), "size": (size, size / np.sqrt(2.0 * hits))}, 4.0 * hits)]
 
 
-def _errors(problem: Problem, world: World, white: Mapping[str, White]) -> list[Array]:
-    """Standardised errors of fixes (2, N) and ranges (1, N) against the fitted path, before any was left out."""
+def _mean_square(share: list[Array], powers: list[Array], sets: list[Array]) -> float:
+    whole = sum(float(s.sum()) * len(e) for s, e in zip(share, sets, strict=True))
+    return max(sum(float(s @ q) for s, q in zip(share, powers, strict=True)) / max(whole, 1e-9), 1e-6)
+
+
+def _errors(problem: Problem, world: World, model: EffectSet) -> list[Array]:
+    """Errors of fixes (2, N) and ranges (1, N) beside the fitted model, in sigma, none left out."""
+    groups = [
+        names for names in (("beacon.x", "beacon.y"), ("ranges.range",)) if all(n in world.readings for n in names)
+    ]
+    if not groups:
+        return []
+    body = world.body([problem.overlay(model, "body")])
     return [
-        np.vstack([white[name].residual for name in names])
-        for names in (("beacon.x", "beacon.y"), ("ranges.range",))
-        if all(name in white for name in names)
+        np.vstack([(world.readings[n] - world.channel(body, n)[0]) / problem.floor.sigma[n] for n in names])
+        for names in groups
     ]
 
 

@@ -25,6 +25,8 @@ BRIEF = 3
 """Iterations of a fit that is only compared."""
 WORTH = 30.0
 """Drop of the cost that an effect must bring: noise on fifty candidates stays below (see tests/bench/bench_gap.py)."""
+WHEELS_WORTH = 120.0
+"""The same of encoders: rounding at slow speed is no white noise."""
 SECANT = (0.25, 4.0)
 """Weights that a secant may have: its shape holds near its start only."""
 SHARE = 0.1
@@ -92,6 +94,7 @@ def _projector(a: Array, g: Array) -> tuple[Array, Callable[[Array], Array]]:
 def search(problem: Problem, tried: Sequence[Candidate], scope: str, start: EffectSet | None = None) -> Found:
     """Add the effect that explains most, refit exactly, drop what is no longer needed; until nothing is worth it."""
     fit = refit(problem, start or {}, scope)
+    worth = WHEELS_WORTH if scope == "wheels" else WORTH
     steps: list[Step] = []
     gains: dict[str, float] = {}
     tolerated: dict[str, float] = {}
@@ -105,14 +108,14 @@ def search(problem: Problem, tried: Sequence[Candidate], scope: str, start: Effe
         gain = gains_of(normal, own, fresh)
         gains = _best_of(fresh, gain)
         ranked = sorted(gains.items(), key=lambda item: -item[1])
-        if not ranked or ranked[0][1] < WORTH:
+        if not ranked or ranked[0][1] < worth:
             break
         chosen = _starts(fresh, gain)
         fits = [
             (one.effect, refit(problem, {**fit.model, one.effect: dict(one.start)}, scope, BRIEF)) for one in chosen
         ]
         name, best = min(fits, key=lambda item: item[1].cost)
-        if fit.cost - best.cost < WORTH:
+        if fit.cost - best.cost < worth:
             break
         steps.append(Step(f"add {name}", tuple((e, fit.cost - f.cost) for e, f in fits)))
         best, dropped = _drop(problem, best, scope)
@@ -122,7 +125,7 @@ def search(problem: Problem, tried: Sequence[Candidate], scope: str, start: Effe
         problem = with_floor(problem, best.model)
         fit = refit(problem, best.model, scope)
     if "slip_patch" in fit.model:
-        fit = _polished(problem, fit, scope, (0.02, 0.01, 0.005, 0.002))
+        fit = _polished(problem, fit, scope, (0.04, 0.02, 0.01, 0.005, 0.002))
     return Found(fit, problem, tuple(steps), gains, _earned(problem, fit, scope), tolerated)
 
 

@@ -130,8 +130,7 @@ def _blocks(
     out = []
     for world, one, two in zip(worlds, before, after, strict=True):
         end = max(float(t[-1]) for t in world.times.values())
-        for start in np.arange(0.0, end, BLOCK):
-            out.append((world, (_cut(one, start), _cut(two, start))))
+        out += [(world, (_cut(one, start), _cut(two, start))) for start in np.arange(0.0, end, BLOCK)]
     return out
 
 

@@ -89,7 +89,7 @@ def told(stream: str, causes: EffectSet) -> str | None:
 
 def _colour(name: str) -> float:
     """By how much more a stream's mean square varies than that of white noise: windows share their start's error."""
-    return 30.0 if name.startswith(("truth", "wheels")) else 1.0
+    return 100.0 if name.startswith(("truth", "wheels")) else 1.0
 
 
 def _discoveries(p_values: Sequence[float]) -> list[bool]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from core.gap._pose_numba import whiten_poses
+from core.gap._pose_numba import whiten_poses, whiten_walk
 from core.gap.floor import Floor, wrap
 from core.gap.reference import WINDOW
 from core.gap.world import POSES, WHEELS, World
@@ -83,6 +83,15 @@ def imu_sigma(world: World, name: str, body: Outputs, floor: Floor) -> Array:
         variance = variance + (floor.vibration * body.speed[0, world.keep(name)]) ** 2
     sigma: Array = np.sqrt(variance)
     return sigma
+
+
+def white_imu(world: World, name: str, values: Array, sigma: Array, floor: Floor) -> Array:
+    """(M, N) residual and columns of one IMU axis; sigma (N,): its noise."""
+    if name == "imu.gz" and floor.gyro_walk > 0.0:
+        rows = np.array(values)
+        whiten_walk(world.times[name], sigma, floor.gyro_walk, rows)
+        return rows
+    return values / sigma
 
 
 def events_of(world: World, body: Outputs, floor: Floor, residuals: Mapping[str, Array]) -> Events | None:
