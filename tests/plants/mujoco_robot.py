@@ -203,7 +203,7 @@ class Machine:
         half = r[:, 2] * TRACK / 2
         slips = r[:, 17:19] * RADIUS - np.column_stack((forward - half, forward + half))
         return History(
-            t=(np.arange(self.done) + 1) * STEP,
+            t=np.arange(self.done) * STEP,  # MuJoCo's sensors are as of each step's beginning
             pose=np.column_stack((r[:, 6], r[:, 7], theta)),
             wheels=r[:, 15:17] - r[0, 15:17],
             gyro=r[:, 2],
@@ -266,7 +266,7 @@ def _imu(history: History, rng: np.random.Generator, flaws: Flaws, sensors: Sens
     gyro_sd, accel_sd = (d * math.sqrt(half_rate) for d in (sensors.gyro_density, sensors.accel_density))
     gz = mean(history.gyro) * (1 + flaws.gyro_scale) + flaws.gyro_bias + gyro_sd * rng.standard_normal(n)
     ax, ay = (mean(history.accel[:, i]) + flaws.accel_bias[i] + accel_sd * rng.standard_normal(n) for i in (0, 1))
-    return ImuLog(mean(history.t) - STEP / 2, gz, ax=ax, ay=ay)
+    return ImuLog(mean(history.t), gz, ax=ax, ay=ay)
 
 
 def _tag(history: History) -> tuple[Floats, Floats]:

@@ -42,6 +42,8 @@ TABLE = (
 """Widths of radii, track and gyro scale are relative to nominal. The first eight are solved for together."""
 
 NAMES = tuple(p.name for p in TABLE)
+LEFT, RIGHT, TRACK, GYRO, TAG_X, TAG_Y, IMU_CLOCK, DELAY = range(8)
+SHARED = 8  # solved for together, as corrections of nominal values
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,7 @@ class OdometryCalibration:
 
 
 def corrected(run: Run, calibration: OdometryCalibration) -> Run:
-    """The run as a nominal robot would have recorded it: wheel angles in terms of one radius, mounts and track put right.
+    """The run as a nominal robot would have recorded it: wheel angles in one radius, mounts and track put right.
 
     What the calibration does not know stays as it is.
     """

@@ -31,8 +31,8 @@ class Umbmark:
     """E_d ratio of right to left wheel diameter, E_b actual over nominal track width, each with its sd (None with fewer
     than two runs a way); alpha, beta [rad] by the x and the y errors; c_left, c_right factors of the wheels' radii.
 
-    returns_cw, returns_ccw (n, 2) [m]: true less computed place of return, in the start's axes; worst_systematic [m]: the
-    farther of both centres, the paper's E_max,syst; side [m].
+    returns_cw, returns_ccw (n, 2) [m]: true less computed place of return, in the start's axes; worst_systematic [m]:
+    the farther of both centres, the paper's E_max,syst; side [m].
     """
 
     side: float
@@ -123,12 +123,13 @@ def _angle_sd(cw: Array, ccw: Array, side: float) -> float | None:
 def _return_error(run: Run) -> tuple[int, Array, float]:
     """+1 counter-clockwise or -1, true less computed place of return (2,), the square's extent [m]."""
     wheels, truth, robot = run.wheels, run.truth, run.meta.robot
+    posed = truth is not None and truth.x is not None and truth.y is not None and truth.theta is not None
     lacking = [
         name
         for name, there in (
             ("wheels", wheels is not None and len(wheels) > 1), ("robot.wheel_radius", bool(robot.wheel_radius)),
             ("robot.track_width", bool(robot.track_width)),
-            ("truth.x, truth.y, truth.theta", truth is not None and all(c is not None for c in (truth.x, truth.y, truth.theta))),
+            ("truth.x, truth.y, truth.theta", posed),
         )
         if not there
     ]  # fmt: skip
