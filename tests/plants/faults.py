@@ -8,7 +8,7 @@ Sizes of faults are drawn and kept in their labels: nothing is too small to be l
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,21 +18,38 @@ from numba import njit
 from core.robot import ImuMount, Noise, Pose, RobotParams
 from core.run import Run, RunMeta
 from core.sensors import CommandLog, ImuLog, TruthLog, WheelLog
+from tests.plants.fault_missions import (
+    ACTS,
+    COLUMNS,
+    DEAD_L,
+    DEAD_R,
+    DRAG,
+    DT,
+    FAULTS,
+    FX,
+    FY,
+    GRIP_L,
+    GRIP_R,
+    HEAVE,
+    JAM,
+    MASS,
+    MZ,
+    PITCH,
+    SURGE,
+    TRACK,
+    WALL,
+    G,
+    Mission,
+)  # fmt: skip
 
 Floats = npt.NDArray[np.float64]
 
-DT = 1e-3
-RADIUS, TRACK, TICKS = 0.075, 0.32, 2048
-MASS, INERTIA, RIM, G = 12.0, 0.45, 2.5, 9.81  # kg, kg m^2, kg at each rim, m/s^2
+RADIUS, TICKS = 0.075, 2048
+INERTIA, RIM = 0.45, 2.5  # kg m^2, kg at each rim
 MOTOR, BRAKE, LIMIT = 130.0, 600.0, 60.0  # N per m/s of speed error when driving and when holding, N, at each rim
-FAULTS = (
-    "spin_up", "brake_slide", "patch", "one_wheel", "turn_slip", "collision", "bounce", "pushed", "stuck",
-    "dead_encoder",
-)  # fmt: skip
+CREEP, SIDE = 2500.0, 3000.0  # N per m/s of creep along and across, up to the grip
 SLIPS = FAULTS[:5]
 CREEPING = 0.05  # m/s of a rim over its ground: from here on a wheel slips
-GRIP_L, GRIP_R, DRAG, FX, FY, MZ, WALL, JAM, DEAD_L, DEAD_R, HEAVE, PITCH, SURGE = range(13)
-COLUMNS = 13
 
 
 @dataclass(frozen=True)
@@ -73,244 +90,48 @@ class FaultRun:
     motion: Floats
 
 
-@dataclass
-class _Mission:
-    """Commands by the millisecond, and what is done to the robot: (column, from, shape)."""
-
-    rng: np.random.Generator
-    v: list[Floats] = field(default_factory=list)
-    w: list[Floats] = field(default_factory=list)
-    done: list[tuple[int, int, Floats]] = field(default_factory=list)
-    walls: list[tuple[float, float, float]] = field(default_factory=list)
-    marks: list[tuple[str, int, int]] = field(default_factory=list)  # fault, from, to
-    n: int = 0
-
-    def go(self, seconds: float, v: float, w: float = 0.0, accel: float = 0.8, spin: float = 2.5) -> None:
-        """Ramp from the last command to v [m/s], w [rad/s], and hold."""
-        k = max(round(seconds / DT), 1)
-        v0, w0 = (float(self.v[-1][-1]), float(self.w[-1][-1])) if self.v else (0.0, 0.0)
-        t = np.arange(1, k + 1) * DT
-        self.v.append(v0 + np.sign(v - v0) * np.minimum(accel * t, abs(v - v0)))
-        self.w.append(w0 + np.sign(w - w0) * np.minimum(spin * t, abs(w - w0)))
-        self.n += k
-
-    def hold(self, column: int, begin: float, end: float, value: float) -> None:
-        """Something between two times from now [s]."""
-        k = round((end - begin) / DT)
-        self.done.append((column, self.n + round(begin / DT), np.full(k, value)))
-
-    def pulse(self, column: int, begin: float, seconds: float, peak: float) -> None:
-        """Half a sine."""
-        k = max(round(seconds / DT), 2)
-        self.done.append((column, self.n + round(begin / DT), peak * np.sin(np.pi * (np.arange(k) + 0.5) / k)))
-
-    def ring(self, column: int, begin: float, peak: float, hertz: float, decay: float) -> None:
-        """A damped oscillation."""
-        t = np.arange(round(5 * decay / DT)) * DT
-        self.done.append(
-            (column, self.n + round(begin / DT), peak * np.exp(-t / decay) * np.sin(2 * np.pi * hertz * t))
-        )
-
-    def stop(self) -> None:
-        self.go(self.rng.uniform(1.0, 5.0), 0.0, 0.0, self.rng.uniform(0.5, 1.2))
-
-    def usual(self) -> None:
-        """A leg of ordinary work: straight, arc or turn on the spot, now and then a stop."""
-        r = self.rng
-        speed, accel = r.uniform(0.2, 0.9), r.uniform(0.4, 1.4)
-        what = r.integers(4)
-        if what == 0:
-            self.go(r.uniform(2, 6), speed, 0.0, accel)
-        elif what == 1:
-            self.go(r.uniform(2, 6), speed, r.uniform(-1.0, 1.0), accel, r.uniform(1.5, 4))
-        elif what == 2:
-            self.go(0.9, 0.0, 0.0, accel)
-            self.go(r.uniform(1, 3), 0.0, r.choice((-1, 1)) * r.uniform(0.4, 1.6), accel, r.uniform(1.5, 5))
-        else:
-            self.go(r.uniform(0.8, 2), -r.uniform(0.1, 0.3), 0.0, accel)
-        if r.random() < 0.45:
-            self.stop()
-
-
 @njit(cache=True)
 def _drive(cmd: Any, ext: Any, walls: Any, tyres: Any, b: float, out: Any) -> None:
     """out (N, 12): x, y, theta, u, s, w, rims left and right, creep left and right, acceleration along and across."""
     x = y = th = u = s = w = rl = rr = pen = 0.0
-    for i in range(cmd.shape[0]):
+    for i in range(cmd.shape[GRIP_L]):
         e = ext[i]
-        gain = 130.0 if abs(cmd[i, 0]) + abs(cmd[i, 1]) > 1e-9 else 600.0
-        load = max(0.0, 1.0 + e[10] / 9.81) * 12.0 * 9.81 / 2
+        gain = MOTOR if abs(cmd[i, 0]) + abs(cmd[i, 1]) > 1e-9 else BRAKE
+        load = max(0.0, 1.0 + e[HEAVE] / G) * MASS * G / 2
         gl, gr = u - w * b / 2, u + w * b / 2
-        fl = min(max(2500.0 * (rl - gl), -e[0] * load), e[0] * load)
-        fr = min(max(2500.0 * (rr - gr), -e[1] * load), e[1] * load)
-        side = (e[0] + e[1]) * load
-        fx = fl + fr + e[3] - e[2] * np.tanh(u / 0.02)
-        fy = min(max(-3000.0 * s, -side), side) + e[4]
-        mz = (fr - fl) * b / 2 + e[5] - 0.4 * w
-        if e[6] >= 1.0:
-            k = int(e[6]) - 1
-            pen = max(pen + u * 1e-3, 0.0)
+        fl = min(max(CREEP * (rl - gl), -e[GRIP_L] * load), e[GRIP_L] * load)
+        fr = min(max(CREEP * (rr - gr), -e[GRIP_R] * load), e[GRIP_R] * load)
+        side = (e[GRIP_L] + e[GRIP_R]) * load
+        fx = fl + fr + e[FX] - e[DRAG] * np.tanh(u / 0.02)
+        fy = min(max(-SIDE * s, -side), side) + e[FY]
+        mz = (fr - fl) * b / 2 + e[MZ] - 0.4 * w
+        if e[WALL] >= 1.0:
+            k = int(e[WALL]) - 1
+            pen = max(pen + u * DT, 0.0)
             if pen > 0.0:
                 push = max(walls[k, 0] * pen + walls[k, 1] * u, 0.0)
                 fx -= push
                 mz += push * walls[k, 2]
         else:
             pen = 0.0
-        au, ay, aw = fx / 12.0, fy / 12.0, mz / 0.45
-        u, s, w = u + (au + w * s) * 1e-3, s + (ay - w * u) * 1e-3, w + aw * 1e-3
+        au, ay, aw = fx / MASS, fy / MASS, mz / INERTIA
+        u, s, w = u + (au + w * s) * DT, s + (ay - w * u) * DT, w + aw * DT
         for side_of in range(2):
             rim, f = (rl, fl) if side_of == 0 else (rr, fr)
-            aim = (cmd[i, 0] + (side_of - 0.5) * 0.32 * cmd[i, 1]) * (1.0 + tyres[side_of])
-            rim += (min(max(gain * (aim - rim), -60.0), 60.0) - f) / 2.5 * 1e-3
-            if e[7] > 0.0:
+            aim = (cmd[i, 0] + (side_of - 0.5) * TRACK * cmd[i, 1]) * (1.0 + tyres[side_of])
+            rim += (min(max(gain * (aim - rim), -LIMIT), LIMIT) - f) / RIM * DT
+            if e[JAM] > 0.0:
                 rim = 0.0
             if side_of == 0:
                 rl = rim
             else:
                 rr = rim
-        th += w * 1e-3
-        x += (u * np.cos(th) - s * np.sin(th)) * 1e-3
-        y += (u * np.sin(th) + s * np.cos(th)) * 1e-3
+        th += w * DT
+        x += (u * np.cos(th) - s * np.sin(th)) * DT
+        y += (u * np.sin(th) + s * np.cos(th)) * DT
         row = out[i]
         row[0], row[1], row[2], row[3], row[4], row[5] = x, y, th, u, s, w
         row[6], row[7], row[8], row[9], row[10], row[11] = rl, rr, rl - gl, rr - gr, au, ay
-
-
-def _log(r: np.random.Generator, low: float, high: float) -> float:
-    return float(low * (high / low) ** r.random())
-
-
-def _spin_up(m: _Mission) -> None:
-    r = m.rng
-    m.stop()
-    grip, accel, speed = r.uniform(0.02, 0.1), r.uniform(1.0, 2.5), r.uniform(0.3, 0.9)
-    seconds = _log(r, 0.1, 1.0)
-    for side in (GRIP_L, GRIP_R):
-        m.hold(side, 0.0, seconds, grip)
-    m.go(speed / accel + r.uniform(1, 2.5), speed, 0.0, accel)
-
-
-def _brake_slide(m: _Mission) -> None:
-    r = m.rng
-    m.go(r.uniform(2, 3), r.uniform(0.4, 1.0))
-    grip, seconds = r.uniform(0.02, 0.08), _log(r, 0.1, 1.5)
-    for side in (GRIP_L, GRIP_R):
-        m.hold(side, 0.0, seconds, grip)
-    m.go(2.5, 0.0, 0.0, r.uniform(1.5, 4.0))
-
-
-def _patch(m: _Mission) -> None:
-    """Slippery and heavy ground (mud, a mat that gives way): wheels turn on, the body is held back."""
-    r = m.rng
-    m.go(r.uniform(2, 3), r.uniform(0.3, 0.8), r.choice((0.0, 1.0)) * r.uniform(-0.6, 0.6))
-    grip, seconds = r.uniform(0.03, 0.15), _log(r, 0.15, 1.5)
-    for side in (GRIP_L, GRIP_R):
-        m.hold(side, -seconds - 0.2, -0.2, grip)
-    m.hold(DRAG, -seconds - 0.2, -0.2, grip * MASS * G * r.uniform(0.9, 2.0))
-    m.go(1.5, float(m.v[-1][-1]), float(m.w[-1][-1]))
-
-
-def _one_wheel(m: _Mission) -> None:
-    """One wheel on ice while the robot speeds up or climbs."""
-    r = m.rng
-    seconds, side = _log(r, 0.1, 1.5), int(r.choice((GRIP_L, GRIP_R)))
-    if r.random() < 0.5:
-        m.stop()
-        m.hold(side, 0.0, seconds, r.uniform(0.0, 0.08))
-        m.go(seconds + 1.5, r.uniform(0.3, 0.9), 0.0, r.uniform(0.8, 2.0))
-    else:
-        m.go(2.5, r.uniform(0.3, 0.8))
-        m.hold(side, 0.0, seconds, r.uniform(0.0, 0.05))
-        m.hold(DRAG, 0.0, seconds, r.uniform(8.0, 25.0))
-        m.go(seconds + 1.0, float(m.v[-1][-1]))
-
-
-def _turn_slip(m: _Mission) -> None:
-    r = m.rng
-    m.stop()
-    seconds = _log(r, 0.1, 1.2)
-    for side in (GRIP_L, GRIP_R):
-        m.hold(side, 0.0, seconds, r.uniform(0.005, 0.05))
-    m.go(2.5, 0.0, r.choice((-1, 1)) * r.uniform(0.6, 1.8), 0.8, r.uniform(3, 8))
-
-
-def _collision(m: _Mission) -> None:
-    r = m.rng
-    speed = r.uniform(0.2, 1.0)
-    m.go(speed / 0.8 + r.uniform(0.8, 2.0), speed)
-    contact, zeta = r.uniform(0.015, 0.05), r.uniform(0.1, 0.9)
-    omega = np.pi / contact
-    m.walls.append((MASS * omega**2, 2 * zeta * MASS * omega, float(r.uniform(-0.1, 0.1))))
-    react = r.choice((r.uniform(0.05, 0.4), r.uniform(0.8, 2.5)))
-    hold = react + 1.0
-    m.hold(WALL, 0.0, hold + 1.0, len(m.walls))
-    jolt = speed * omega * 0.6
-    m.ring(HEAVE, 0.004, jolt * r.uniform(0.05, 0.3), r.uniform(15, 35), r.uniform(0.03, 0.08))
-    m.ring(SURGE, 0.004, jolt * r.uniform(0.05, 0.2), r.uniform(15, 35), r.uniform(0.03, 0.08))
-    m.go(react, speed)
-    m.go(1.0, 0.0, 0.0, 4.0)
-    m.go(1.5, -0.2)
-    m.stop()
-
-
-def _bounce(m: _Mission) -> None:
-    """Over a threshold: each axle is thrown up, the body rocks; grip comes and goes with the load."""
-    r = m.rng
-    speed, peak = r.uniform(0.2, 0.8), r.uniform(2.5, 14.0)
-    m.go(speed / 0.8 + r.uniform(0.8, 2.0), speed)
-    for k, at in enumerate((0.0, min(0.25 / speed, 0.8))):
-        size = peak * (1.0 if k == 0 else r.uniform(0.4, 1.0))
-        m.pulse(HEAVE, at, r.uniform(0.02, 0.05), size)
-        m.ring(HEAVE, at + 0.03, -size * r.uniform(0.3, 0.7), r.uniform(5, 14), r.uniform(0.06, 0.2))
-        m.ring(PITCH, at, (-1) ** k * size * r.uniform(0.03, 0.1), r.uniform(4, 9), r.uniform(0.08, 0.2))
-        m.pulse(FX, at, 0.04, -MASS * size * r.uniform(0.05, 0.3))
-        m.pulse(MZ, at, 0.04, size * r.uniform(-0.15, 0.15))
-    m.go(2.0, speed)
-
-
-def _pushed(m: _Mission) -> None:
-    r = m.rng
-    m.stop()
-    m.go(1.5, 0.0)
-    seconds = r.uniform(0.15, 0.8)
-    m.hold(JAM, -0.2, 3.0, 1.0)
-    way = r.integers(3)
-    grip = 0.7 * MASS * G
-    if way == 0:
-        m.hold(FX, 0.0, seconds, r.choice((-1, 1)) * grip * r.uniform(1.03, 1.3))
-    elif way == 1:
-        m.hold(FY, 0.0, seconds, r.choice((-1, 1)) * grip * r.uniform(1.03, 1.3))
-    else:
-        m.hold(MZ, 0.0, seconds, r.choice((-1, 1)) * grip * TRACK / 2 * r.uniform(1.03, 1.25))
-    m.go(3.0, 0.0)
-
-
-def _stuck(m: _Mission) -> None:
-    r = m.rng
-    m.stop()
-    m.go(1.0, 0.0)
-    seconds = r.uniform(1.0, 5.0)
-    m.hold(JAM, -0.3, seconds, 1.0)
-    m.go(seconds + 1.5, r.uniform(0.15, 0.6), r.choice((0.0, 0.6)))
-    m.stop()
-
-
-def _dead_encoder(m: _Mission) -> None:
-    r = m.rng
-    m.go(r.uniform(2, 3), r.uniform(0.2, 0.8), r.choice((0.0, 1.0)) * r.uniform(-0.6, 0.6))
-    seconds, side = r.uniform(0.5, 6.0), r.integers(3)
-    for k, column in enumerate((DEAD_L, DEAD_R)):
-        if side in (k, 2):
-            m.hold(column, 0.0, seconds, 1.0)
-    v = float(m.v[-1][-1])
-    m.go(seconds + 1.5, v, r.uniform(-0.5, 0.5))
-
-
-ACTS = {
-    "spin_up": _spin_up, "brake_slide": _brake_slide, "patch": _patch, "one_wheel": _one_wheel,
-    "turn_slip": _turn_slip, "collision": _collision, "bounce": _bounce, "pushed": _pushed, "stuck": _stuck,
-    "dead_encoder": _dead_encoder,
-}  # fmt: skip
 
 
 def fault_run(
@@ -324,7 +145,7 @@ def fault_run(
 ) -> FaultRun:
     """A mission of about that length with one fault every dozen seconds, drawn from `faults` (none: a clean run)."""
     rng = np.random.default_rng(seed)
-    m = _Mission(rng)
+    m = Mission(rng)
     m.go(2.0, 0.0)
     while m.n * DT < seconds:
         for _ in range(rng.integers(1, 3)):
@@ -364,7 +185,7 @@ def fault_run(
     return FaultRun(run, labels, motion)
 
 
-def _labels(mark: tuple[str, int, int], m: _Mission, ext: Floats, motion: Floats) -> list[Label]:
+def _labels(mark: tuple[str, int, int], m: Mission, ext: Floats, motion: Floats) -> list[Label]:
     """Onset and end from what really happened between two milliseconds."""
     fault, begin, end = mark
     part, done = motion[begin:end], ext[begin:end]
@@ -456,9 +277,7 @@ def _imu(rng: np.random.Generator, motion: Floats, ext: Floats, flaws: Flaws, ra
     force[0] += motion[:, 10] - 0.05 * w * w + ext[:, SURGE] + G * uneven
     force[1] += motion[:, 11] + 0.05 * aw
     force[2] += G + ext[:, HEAVE]
-    rates = np.stack(
-        (0.3 * np.gradient(uneven, DT) * 0, ext[:, PITCH], w * (1 + flaws.gyro_scale * rng.standard_normal()))
-    )
+    rates = np.stack((np.zeros(n), ext[:, PITCH], w * (1 + flaws.gyro_scale * rng.standard_normal())))
     rates += (
         np.array((0.02, 0.03, 0.004))[:, None] * shake * lfilter([0.3], [1, -0.7], rng.standard_normal((3, n))) * speed
     )

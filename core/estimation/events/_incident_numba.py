@@ -36,6 +36,7 @@ from core.estimation.events._residual_numba import (
     R_SET_R,
     R_STILL,
     R_T,
+    R_UNASKED,
     R_VL,
     R_VR,
 )  # fmt: skip
@@ -52,6 +53,7 @@ FLAT = 0.12  # s without a tick that make a wheel flat
 ASKED = 0.7  # s of asking in vain
 ASK = 0.05  # m/s, least rim speed that is asked for
 SLOW = 0.05  # m/s
+CREEP = 0.02  # m/s: a wheel that is shaken may tick
 RESTS, MOVES = 3.0, 5.0  # variance of the IMU over that at rest: below, above
 AFTER = 3.0  # s after a contradiction in which wheels may be found spinning
 
@@ -77,7 +79,9 @@ def _write(o: Any, t1: float, release: float, s: Any, found: Any, n: Any) -> Any
 def _kind(r: Any, onset: float, along: float, track: float, has_accel: bool) -> tuple[int, bool, bool]:
     """What explains a contradiction since `onset`, and which wheels it is about."""
     since, fl, fr = r[R_T] - onset, r[R_FLAT_L], r[R_FLAT_R]
-    if min(fl, fr) > since + 0.1 and r[R_ASKED] == 0.0:
+    parked_l = fl > since + 0.1 or (abs(r[R_VL]) < CREEP and abs(r[R_BEFORE_L]) < SLOW)
+    parked_r = fr > since + 0.1 or (abs(r[R_VR]) < CREEP and abs(r[R_BEFORE_R]) < SLOW)
+    if parked_l and parked_r and r[R_UNASKED] > since + 0.1:
         return PUSHED, True, True
     flat_l, flat_r = fl >= FLAT, fr >= FLAT
     if flat_l and flat_r:
