@@ -13,6 +13,7 @@ from core.estimation.beacon import gather_rounds, multilaterate
 from core.estimation.cleaning import gyro_readings
 from core.estimation.fusion.start import fit_rigid
 from core.estimation.odometry import arcs, wheel_path
+from core.estimation.rest import wheels_still
 from core.geometry import compose, wrap_angle
 from core.run import Run
 
@@ -150,7 +151,7 @@ def _guess(run: Run, reference: Reference) -> Array:
     turn = path.turn
     if run.imu is not None:
         t, gz = gyro_readings(run.imu)
-        still = np.abs(np.interp(t, path.t, np.gradient(path.d, path.t))) < 1e-3
+        still = wheels_still(wheels, t, 0.5)
         bias = float(np.median(gz[still])) if still.sum() > 10 else 0.0
         turned = np.concatenate(([0.0], np.cumsum((gz[1:] + gz[:-1]) / 2 * np.diff(t) - bias * np.diff(t))))
         turn = np.interp(path.t, t, turned)

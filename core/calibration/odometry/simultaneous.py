@@ -42,6 +42,7 @@ Array = npt.NDArray[np.float64]
 ROUNDS, FINAL_ROUNDS = 3, 1  # of reweighing; noise is learnt between them
 PLAIN, STEPS = 3, 2  # Gauss-Newton steps before the first round, and in each
 SHOWN = 0.3  # a parameter is shown where its sd is below this share of its plausible width
+FARTHEST = 10.0  # plausible widths from nominal; beyond, the search has not found the robot
 ALIKE = 0.9  # correlation worth telling
 SLIPS = (2e-4, 0.1)  # m/sqrt(m), range of what is learnt
 USUAL, USUAL_SPREAD = Noise(), 2.0  # slips before the runs speak: within this factor of e
@@ -71,6 +72,12 @@ def calibrate_odometry(
     # What is not shown stays within its plausible width, so that it widens the others' deviations; what is, is free.
     pull[:SHARED] = np.where(shown, 0.0, 1 / width**2)
     shared, noise = _fit(chains, shared, free, noise, learn_noise, pull, FINAL_ROUNDS)
+    if not np.all(np.abs(shared[:SHARED]) <= FARTHEST * width):
+        worst = TABLE[int(np.nanargmax(np.abs(shared[:SHARED]) / width))].name
+        raise NotEnoughDataError(
+            f"the search ran away ({worst} is far from plausible): wheels, gyro and reference do not tell of one motion",
+            parameter=worst,
+        )
     information, _ = _reduced(chains, noise)
     covariance = _inverse(information + np.diag(pull), free)
     values = _values(runs[0], shared, covariance, shown)

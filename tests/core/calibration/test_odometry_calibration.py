@@ -56,7 +56,7 @@ def squares(ratio: float, scale: float) -> list[Run]:
         return [stop(1.0), *([drive(4.0, 0.5), turn(sign * np.pi / 2)] * 4), stop(1.0)]
 
     effects = {"unequal_wheels": {"ratio": ratio}, "track_width": {"scale": scale}}
-    rates = Rates(beacon=0.0, ranges=0.0, imu=0.0, truth=10.0)
+    rates = Rates(beacon=0.0, ranges=0.0, truth=10.0)
     return [simulate(Scenario("square", "", lambda s=s: square(s)).run(rates), effects, 0) for s in (1.0, -1.0)]  # type: ignore[misc]
 
 
@@ -178,6 +178,12 @@ def test_umbmark_and_all_at_once_agree_on_squares(ratio: float, scale: float) ->
     assert left is not None and right is not None and track is not None
     assert right / left == pytest.approx(ratio, abs=3e-4)
     assert track / 0.32 == pytest.approx(scale, abs=1e-3)
+
+
+def test_streams_of_different_runs_are_refused() -> None:
+    run, other = a_run(1), a_run(1, [stop(1.0), turn(12.0, 1.0), stop(1.0), turn(-20.0, 1.0), stop(20.0)])
+    with pytest.raises(NotEnoughDataError, match="one motion"):
+        calibrate_odometry([dataclasses.replace(run, wheels=other.wheels)], reference="beacon")
 
 
 @pytest.mark.shared
