@@ -24,6 +24,7 @@ def add_commands(commands: Any, run_help: str) -> None:
     )
     simulate.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of all noise (default 0)")
     simulate.add_argument("--no-noise", action="store_true", help="expected readings: no noise, encoders not rounded")
+    simulate.add_argument("--simulator", metavar="NAME", help="one registered in DRIFTSCOPE_SIMULATORS, or sim/ of RUN")
     simulate.add_argument("--out", required=True, type=Path, metavar="DIR", help="a run folder, made anew")
     simulate.add_argument("--data", type=Path, help="data folder of stored runs (default data)")
     simulate.set_defaults(run=_simulate)
@@ -33,13 +34,23 @@ def _simulate(options: argparse.Namespace) -> int:
     import dataclasses
 
     from app.cli import OK
+    from app.settings import Settings
+    from app.simulators import chosen
+    from core.errors import ParameterError
     from core.formats import write_run
     from core.simulation import simulate
+    from core.simulation.foreign import around
 
+    foreign = chosen(options.simulator, Settings.from_env().simulators, Path(options.source))
+    if foreign is not None and options.no_noise:
+        raise ParameterError("--no-noise is of our own simulator only", parameter="no_noise")
     run = _driven(options.source, options.data)
     effects = {} if options.effects is None else read_effects(options.effects)
-    made = simulate(run, effects, options.seed, noise=not options.no_noise)
-    origin = {"effects": effects, "seed": options.seed, "noise": not options.no_noise}
+    if foreign is None:
+        made = simulate(run, effects, options.seed, noise=not options.no_noise)
+    else:
+        made = around(foreign, run, effects, options.seed)
+    origin = {"effects": effects, "seed": options.seed, "simulator": options.simulator or "nominal"}
     extra = {**run.meta.extra, "simulated": origin}  # beside what its simulator models, which stays as it was
     meta = dataclasses.replace(made.meta, name=f"{run.meta.name or 'run'} (simulated)", extra=extra)
     write_run(dataclasses.replace(made, meta=meta), options.out, "folder-csv")

@@ -28,6 +28,7 @@ class Settings:
     max_unpacked_bytes: int = 16 * GIB
     undo_hours: float = 24.0
     upload_hours: float = 48.0  # an upload that nobody touched for so long is dropped
+    simulators: Path | None = None  # JSON file of simulators by name, see app.simulators
     demo: bool = False
     allowed_hosts: tuple[str, ...] = ("127.0.0.1", "localhost", "::1")  # names that a loopback server answers to
 
@@ -55,11 +56,14 @@ class Settings:
 
     @classmethod
     def from_env(cls, **given: object) -> Settings:
-        """Settings from DRIFTSCOPE_DATA, _HOST, _PORT, _TOKEN, _DATABASE_URL, _SCHEDULER, _WORKERS; `given` wins."""
+        """Settings from DRIFTSCOPE_DATA, _HOST, _PORT, _TOKEN, _DATABASE_URL, _SCHEDULER, _WORKERS,
+        _SIMULATORS; `given` wins.
+        """
         env = os.environ
         values: dict[str, object] = {}
         for name, convert in {
             "data": Path, "host": str, "port": int, "token": str, "database_url": str, "scheduler": str, "workers": int,
+            "simulators": Path,
         }.items():  # fmt: skip
             raw = env.get(f"DRIFTSCOPE_{name.upper()}")
             if raw:

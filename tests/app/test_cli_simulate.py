@@ -25,7 +25,7 @@ def test_it_writes_what_the_library_simulates(tmp_path: Path) -> None:
     assert made.imu is not None and expected.imu is not None
     np.testing.assert_array_equal(made.imu.gz, expected.imu.gz)
     assert made.meta.effects == read_run(MISSION).meta.effects
-    assert made.meta.extra["simulated"] == {"effects": effects, "seed": 7, "noise": True}
+    assert made.meta.extra["simulated"] == {"effects": effects, "seed": 7, "simulator": "nominal"}
 
 
 def test_a_diagnosis_gives_its_joint_explanation(tmp_path: Path) -> None:
