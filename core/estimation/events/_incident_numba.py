@@ -53,6 +53,7 @@ FLAT = 0.12  # s without a tick that make a wheel flat
 ASKED = 0.7  # s of asking in vain
 ASK = 0.05  # m/s, least rim speed that is asked for
 SLOW = 0.05  # m/s
+RUNS_AWAY = 0.05  # m/s: less is no reason to doubt a second wheel
 CREEP = 0.02  # m/s: a wheel that is shaken may tick
 RESTS, MOVES = 3.0, 5.0  # variance of the IMU over that at rest: below, above
 AFTER = 3.0  # s after a contradiction in which wheels may be found spinning
@@ -131,6 +132,8 @@ def _mismatch(r: Any, track: float, has_accel: bool, s: Any, found: Any, n: Any)
                 n = _write(np.int64(MIS), t, known, s, found, n)
                 _start(np.int64(MIS), np.int64(DEAD), onset, known, s)
                 s[MIS + 5], s[MIS + 6], s[MIS + 13] = (1.0 if left else 0.0), (1.0 if right else 0.0), first
+            else:
+                n = _widen(r, active, turn, along, track, has_accel, s, found, n)
         s[MIS + 9] = max(s[MIS + 9], z)
         s[MIS + 7] = max(s[MIS + 7], float(active & 1))
         sums = (turn if active & 1 else 0.0, along if active & 2 else 0.0, side if active & 4 else 0.0)
@@ -142,6 +145,25 @@ def _mismatch(r: Any, track: float, has_accel: bool, s: Any, found: Any, n: Any)
         return _dead(r, active, s, found, n)
     if active == 0:
         return _write(np.int64(MIS), s[MIS + 4] - 3.0 * r[R_H], known, s, found, n)
+    return n
+
+
+@njit(error_model="numpy")
+def _widen(
+    r: Any, active: Any, turn: float, along: float, track: float, has_accel: bool, s: Any, found: Any, n: Any
+) -> Any:
+    """A slip that reaches a wheel which was trusted so far goes on as a new one of the same onset, known from now."""
+    left, right = _sides(active, turn / max(r[R_T] - s[MIS + 2], r[R_H]), along, track, has_accel)
+    if abs(along) < RUNS_AWAY:
+        return n
+    left, right = left or s[MIS + 5] > 0.0, right or s[MIS + 6] > 0.0
+    if left == (s[MIS + 5] > 0.0) and right == (s[MIS + 6] > 0.0):
+        return n
+    onset, first, turned = s[MIS + 2], s[MIS + 13], s[MIS + 7]
+    n = _write(np.int64(MIS), r[R_T], r[R_KNOWN], s, found, n)
+    _start(np.int64(MIS), np.int64(SLIP), onset, r[R_KNOWN], s)
+    s[MIS + 5], s[MIS + 6] = (1.0 if left else 0.0), (1.0 if right else 0.0)
+    s[MIS + 7], s[MIS + 13] = turned, first
     return n
 
 
@@ -166,7 +188,8 @@ def _sides(active: Any, rate: float, along: float, track: float, has_accel: bool
     if not has_accel or not active & 2:
         return False, False
     left, right = abs(along - 0.5 * track * rate), abs(along + 0.5 * track * rate)
-    return left > 0.5 * right, right > 0.5 * left
+    least = min(RUNS_AWAY, 0.7 * max(left, right))
+    return left > max(0.5 * right, least), right > max(0.5 * left, least)
 
 
 @njit(error_model="numpy")

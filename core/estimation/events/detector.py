@@ -114,7 +114,7 @@ class Detector:
         blow = np.concatenate(([self._last_blow], last))[place] if len(known) else np.zeros(0)
         if len(last):
             self._last_blow = float(last[-1])
-        found = np.zeros((3 * len(rows) + 8, self._c.SIZE + 1))
+        found = np.zeros((4 * len(rows) + 8, self._c.SIZE + 1))
         track = self._limits.track
         n = self._c.walk(rows, blow, self._cs, found, track, self._accel, flush)
         incidents = [incident_disturbance(row, track) for row in found[:n]]
