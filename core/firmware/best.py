@@ -72,9 +72,8 @@ def _filter(length: float, given: BiasNoise | None, config: FilterConfig) -> lis
         Constant("DS_STOP", number(config.stop), "sd", "of a second's angle, that each stop's beginning and end hide"),
         Constant("DS_MARKOV_TAU", number(tau), "s", "correlation time of the Gauss-Markov process"),
         Constant("DS_MARKOV_KEEP", number(keep), "", "exp(-block / that)"),
-        Constant("DS_MARKOV_FRESH", number(1 - keep**2), "", "1 - its square"),
-        Constant("DS_TAIL_KEEP", number(tail), "", "exp(-block / correlation time of what is left of a movement)"),
-        Constant("DS_TAIL_FRESH", number(1 - tail**2), "", "1 - its square"),
+        Constant("DS_TAIL_TAU", number(config.tail_tau), "s", "correlation time of what is left of a movement"),
+        Constant("DS_TAIL_KEEP", number(tail), "", "exp(-block / that)"),
         Constant("DS_FAST", number(FAST), "", "of the Gauss-Markov deviation, too fast for means at rest to show"),
         Constant("DS_NOISE_GIVEN", "1" if given else "0", "", "1: the drift is given; 0: it is learnt"),
         Constant("DS_GIVEN_WHITE", number(noise.N**2), "rad^2/s", f"N^2; {origin}"),
@@ -85,8 +84,8 @@ def _filter(length: float, given: BiasNoise | None, config: FilterConfig) -> lis
 
 def _learning(length: float, config: FilterConfig) -> list[Constant]:
     edges = np.array(kernel.EDGES)
-    first = config.tail**2 * np.exp(-(edges[1:] + edges[:-1]) * length)
-    usual = 0.5 * np.exp(-(edges[1:] + edges[:-1]) / 3 * length)
+    first = config.tail**2 * np.exp(-(edges[1:] + edges[:-1]) * length / 2.5)
+    usual = 0.5 * np.exp(-(edges[1:] + edges[:-1]) / 8 * length)
     walk, swing = np.array(kernel.BANK_K) ** 2, np.array(kernel.BANK_SD) ** 2
     weight = np.outer(kernel.BANK_PRIOR, kernel.BANK_PRIOR).ravel()
     size = len(weight)

@@ -88,6 +88,13 @@ static void describe(ds_bias *s, ds_block *b)
             b->others[a] = ds_most(g->two[a] - ((g->one[a] * g->one[a]) / n), 0.0f) / (n - 1.0f);
         }
     }
+    b->time = 0.0f;
+    if (ds_heard(b)) {
+        b->time = DS_BLOCK_S * (float)(g->unheard + 1U);
+        s->gather.unheard = 0U;
+    } else {
+        s->gather.unheard++;
+    }
     b->kelvin = kelvin_of(s);
     b->moves = g->moves;
 }

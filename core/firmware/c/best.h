@@ -24,6 +24,7 @@
 #define DS_OTHERS 5U /* axes beside z */
 
 typedef struct {
+    float time;     /* s; 0 where nothing was heard: the block that ends the pause takes all of it */
     float angle;    /* rad, turned by the readings */
     float lost;     /* rad^2, variance of what a gap hides */
     float count;    /* readings; 0 where they are too few */
@@ -69,6 +70,12 @@ typedef struct {
     float others[DS_OTHERS];
 } ds_level;
 
+typedef struct { /* the steadiest block since the last rest */
+    float variance; /* rad^2/s^2, of a reading; 0 where there is none */
+    float count;
+    float others[DS_OTHERS];
+} ds_quietest;
+
 typedef struct {
     float sum; /* rad/s, of the present rest */
     float held;
@@ -88,6 +95,7 @@ typedef struct {
 typedef struct { /* the block that is being read */
     float reading[DS_BLOCK_MOST];
     uint32_t count;
+    uint32_t unheard;    /* blocks before this one in which nothing was heard */
     uint32_t clock_us;   /* since the last edge, at the last reading */
     float last;          /* rad/s, the last reading */
     float ahead;         /* rad, what the last block had gone on beyond its last reading */
@@ -121,6 +129,9 @@ typedef struct {
     uint32_t at;         /* blocks taken in */
     uint32_t began;      /* the block in which the present rest may have begun */
     uint32_t refused;    /* quiet blocks that their mean spoke against */
+    uint32_t vetoed;     /* blocks since anything passed for rest */
+    ds_quietest quietest;
+    float driving;       /* rad^2/s^2, lower quartile of a block's variance in movement */
     bool fresh;          /* the rest's beginning is still to be told */
     ds_mark old;         /* of the block that was learnt from last */
     bool old_known;
@@ -141,11 +152,17 @@ void ds_bias_step(ds_bias *state, const ds_bias_input *in, ds_bias_view *view);
 uint32_t ds_judge(ds_bias *s, uint32_t k);
 void ds_advance(ds_bias *s, uint32_t k);
 void ds_set_level(ds_bias *s, uint32_t k);
+void ds_raise_level(ds_bias *s, uint32_t k, float scatter);
 void ds_learn(ds_bias *s, const ds_slot *settled);
 
 static inline ds_slot *ds_slot_of(ds_bias *s, uint32_t k)
 {
     return &s->slot[k % DS_RING];
+}
+
+static inline bool ds_heard(const ds_block *block)
+{
+    return block->count >= 2.0f;
 }
 
 static inline float ds_noise_of(const ds_level *level, float count)

@@ -12,9 +12,24 @@ typedef struct {
     float keep;  /* and the share of the old that stays */
 } remainder_of;
 
-static remainder_of left_over(const ds_bias *s, uint32_t since)
+/* exp(-time / tau), known for a block of the usual length. */
+static float decay(float time, float usual, float tau)
 {
-    remainder_of left = {0.0f, 0.0f, DS_TAIL_KEEP};
+    float kept = usual;
+    if (time <= 0.0f) {
+        kept = 1.0f;
+    } else if (time > DS_BLOCK_S) {
+        kept = expf(-time / tau);
+    } else {
+        /* as usual */
+    }
+    return kept;
+}
+
+static remainder_of left_over(const ds_bias *s, uint32_t since, float time)
+{
+    const float kept = decay(time, DS_TAIL_KEEP, DS_TAIL_TAU);
+    remainder_of left = {0.0f, 0.0f, kept};
     if (since < DS_TABLE) {
         const float now = s->tail_variance[since];
         left.mean = s->tail_mean[since];
@@ -23,8 +38,8 @@ static remainder_of left_over(const ds_bias *s, uint32_t since)
             left.keep = 0.0f;
         } else {
             const float past = s->tail_variance[since - 1U];
-            left.fresh = now * DS_TAIL_FRESH;
-            left.keep = (past > 0.0f) ? (DS_TAIL_KEEP * sqrtf(now / past)) : 0.0f;
+            left.fresh = now * (1.0f - (kept * kept));
+            left.keep = (past > 0.0f) ? (kept * sqrtf(now / past)) : 0.0f;
         }
     }
     return left;
@@ -113,8 +128,10 @@ static void update(ds_filter *filter, const ds_block *b, float tail, float noise
     update_covariance(filter->p, gain, h, noise);
 }
 
-static void forget_bias(ds_filter *filter)
+/* The bias is elsewhere now: where this block says. */
+static void forget_bias(ds_filter *filter, const ds_block *b)
 {
+    filter->x[0] = b->mean - filter->x[1] - (filter->x[2] * b->kelvin);
     for (size_t i = 0U; i < N; i++) {
         filter->p[1][i] = 0.0f;
         filter->p[i][1] = 0.0f;
@@ -161,25 +178,25 @@ static void follow_marks(ds_bias *s, uint32_t k)
 }
 
 /* A block in movement: the heading turns by the readings less the bias. */
-static void move(ds_filter *filter, const ds_block *b, float white)
+static void move(ds_filter *filter, const ds_block *b, float white, float markov)
 {
-    const float into[N] = {0.0f, -DS_BLOCK_S, -DS_BLOCK_S, -DS_BLOCK_S * b->kelvin, 0.0f};
-    const float keep[N] = {1.0f, 1.0f, DS_MARKOV_KEEP, 1.0f, 0.0f};
+    const float into[N] = {0.0f, -b->time, -b->time, -(b->time * b->kelvin), 0.0f};
+    const float keep[N] = {1.0f, 1.0f, markov, 1.0f, 0.0f};
     filter->heading = ds_sum_add(filter->heading, b->angle);
-    filter->heading = ds_sum_add(filter->heading, -(DS_BLOCK_S * bias_of(filter, b->kelvin)));
+    filter->heading = ds_sum_add(filter->heading, -(b->time * bias_of(filter, b->kelvin)));
     filter->x[3] = 0.0f;
     predict_covariance(filter->p, into, keep);
-    filter->p[0][0] += (white * DS_BLOCK_S) + b->lost;
+    filter->p[0][0] += (white * b->time) + b->lost;
 }
 
 /* A block at rest: the heading turns by what is left of the movement. */
-static void rest(ds_filter *filter, const remainder_of *left)
+static void rest(ds_filter *filter, float time, const remainder_of *left, float markov)
 {
-    const float gained = 0.5f * DS_BLOCK_S * (1.0f + left->keep);
+    const float gained = 0.5f * time * (1.0f + left->keep);
     const float into[N] = {0.0f, 0.0f, 0.0f, 0.0f, gained};
-    const float keep[N] = {1.0f, 1.0f, DS_MARKOV_KEEP, 1.0f, left->keep};
+    const float keep[N] = {1.0f, 1.0f, markov, 1.0f, left->keep};
     filter->heading = ds_sum_add(filter->heading, gained * filter->x[3]);
-    filter->heading = ds_sum_add(filter->heading, DS_BLOCK_S * left->mean);
+    filter->heading = ds_sum_add(filter->heading, time * left->mean);
     filter->x[3] *= left->keep;
     predict_covariance(filter->p, into, keep);
     filter->p[4][4] += left->fresh;
@@ -189,10 +206,12 @@ static void rest(ds_filter *filter, const remainder_of *left)
 static void begin_rest(ds_bias *s, uint32_t k, float white)
 {
     const ds_block *const b = &ds_slot_of(s, k)->block;
-    s->filter.p[0][0] += DS_STOP * DS_STOP * white;
-    if ((k > 0U) && (ds_slot_of(s, k - 1U)->block.count < 2.0f)) {
-        s->filter.heading = ds_sum_add(s->filter.heading, b->angle - (DS_BLOCK_S * b->raw));
-        s->filter.p[0][0] += b->lost;
+    ds_filter *const filter = &s->filter;
+    filter->p[0][0] += DS_STOP * DS_STOP * white;
+    if ((k > 0U) && !ds_heard(&ds_slot_of(s, k - 1U)->block)) {
+        filter->heading = ds_sum_add(filter->heading, b->angle);
+        filter->heading = ds_sum_add(filter->heading, -(b->time * bias_of(filter, b->kelvin)));
+        filter->p[0][0] += b->lost + (white * b->time);
     }
 }
 
@@ -202,26 +221,27 @@ void ds_advance(ds_bias *s, uint32_t k)
     const ds_block *const b = &slot->block;
     ds_filter *const filter = &s->filter;
     const float white = s->level.white * DS_BLOCK_S;
+    const float markov = decay(b->time, DS_MARKOV_KEEP, DS_MARKOV_TAU);
     remainder_of left = {0.0f, 0.0f, 0.0f};
     slot->before = *filter;
     if (slot->mark.anew) {
-        forget_bias(filter);
+        forget_bias(filter, b);
     }
     follow_marks(s, k);
     if (slot->mark.rests) {
         if (slot->mark.since == 0U) {
             begin_rest(s, k, white);
         }
-        left = left_over(s, slot->mark.since);
+        left = left_over(s, slot->mark.since, b->time);
         left.mean *= slot->mark.sign;
-        rest(filter, &left);
+        rest(filter, b->time, &left, markov);
     } else {
-        move(filter, b, white);
+        move(filter, b, white, markov);
     }
-    filter->x[1] *= DS_MARKOV_KEEP;
-    filter->p[1][1] += s->level.walk * DS_BLOCK_S;
-    filter->p[2][2] += s->level.swing * DS_MARKOV_FRESH;
-    if (slot->mark.rests && (b->count >= 2.0f)) {
+    filter->x[1] *= markov;
+    filter->p[1][1] += s->level.walk * b->time;
+    filter->p[2][2] += s->level.swing * (1.0f - (markov * markov));
+    if (slot->mark.rests && ds_heard(b)) {
         update(filter, b, left.mean, ds_noise_of(&s->level, b->count));
     }
     filter->heading = ds_angle_wrap(filter->heading);

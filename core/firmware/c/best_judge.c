@@ -23,15 +23,17 @@ static difference apart(ds_bias *s, uint32_t k, uint32_t scale)
     const ds_slot *const old = ds_slot_of(s, low - 1U);
     float total = 0.0f;
     float held = 0.0f;
+    float span = 0.0f;
     for (uint32_t i = low; i <= k; i++) {
         const ds_block *const b = &ds_slot_of(s, i)->block;
+        span += b->time;
         total += (b->mean - old->bias) * b->count; /* differences: small numbers keep their digits */
         held += b->count;
     }
     const difference made = {
         .off = total / held,
         .variance = ds_noise_of(&s->level, held) + old->bias_variance
-                    + (s->level.walk * ((float)scale * DS_BLOCK_S)) + s->level.swing,
+                    + (s->level.walk * span) + s->level.swing,
     };
     return made;
 }
@@ -75,7 +77,7 @@ static float scatter(ds_bias *s, uint32_t k, uint32_t window)
     uint32_t n = 0U;
     for (uint32_t i = 0U; (i < window) && (i <= k); i++) {
         const ds_block *const b = &ds_slot_of(s, k - i)->block;
-        if (b->count >= 2.0f) {
+        if (ds_heard(b)) {
             const float d = b->mean - origin;
             one += d;
             two += d * d;
@@ -93,22 +95,6 @@ static bool calm(const ds_bias *s, const ds_block *b)
     return b->clipped < (s->level.reading * (1.0f + (DS_FAR * s->level.spread)));
 }
 
-/* Whether block k ends a window of rest as far as one can say without the bias. */
-static bool quiet(ds_bias *s, uint32_t k)
-{
-    const ds_block *const b = &ds_slot_of(s, k)->block;
-    const ds_level *const level = &s->level;
-    const float most = 1.0f + (2.0f * DS_FAR * ds_most(level->spread, 0.1f));
-    bool rests = (level->reading > 0.0f) && (b->count >= ds_least(4.0f, 0.5f * level->held)) && !b->moves;
-    for (size_t a = 0U; a < DS_OTHERS; a++) {
-        rests = rests && (b->others[a] <= (level->others[a] * most));
-    }
-    if (rests && !(calm(s, b) && (scatter(s, k, DS_WINDOW) < (DS_EVEN * level->noise)))) {
-        rests = scatter(s, k, 3U * DS_WINDOW) < (DS_STEADY * level->noise);
-    }
-    return rests;
-}
-
 /* One block's mean with the bias before it, if there was one. */
 static bool agrees(ds_bias *s, uint32_t i)
 {
@@ -121,6 +107,52 @@ static bool agrees(ds_bias *s, uint32_t i)
         good = (off * off) < (DS_ENTER * DS_ENTER * spread);
     }
     return good;
+}
+
+/* How many blocks of the window are too loud for rest: one by itself is an outlier's or a knock's, and ends no rest. */
+static uint32_t loud(ds_bias *s, uint32_t k, uint32_t window)
+{
+    const float most = s->level.reading * (1.0f + (DS_FAR * s->level.spread));
+    uint32_t found = 0U;
+    for (uint32_t i = 0U; (i < window) && (i <= k); i++) {
+        if (ds_slot_of(s, k - i)->block.clipped > most) {
+            found++;
+        }
+    }
+    return found;
+}
+
+/* Whether half of the window before k was not heard. */
+static bool thin(ds_bias *s, uint32_t k)
+{
+    uint32_t missing = 0U;
+    for (uint32_t i = 1U; (i < DS_WINDOW) && (i <= k); i++) {
+        if (!ds_heard(&ds_slot_of(s, k - i)->block)) {
+            missing++;
+        }
+    }
+    return (2U * missing) >= DS_WINDOW;
+}
+
+/* Whether block k ends a window of rest as far as one can say without the bias. */
+static bool quiet(ds_bias *s, uint32_t k, bool resting)
+{
+    const ds_block *const b = &ds_slot_of(s, k)->block;
+    const ds_level *const level = &s->level;
+    const float most = 1.0f + (2.0f * DS_FAR * ds_most(level->spread, 0.1f));
+    bool rests = (level->reading > 0.0f) && (b->count >= ds_least(4.0f, 0.5f * level->held)) && !b->moves;
+    for (size_t a = 0U; a < DS_OTHERS; a++) {
+        rests = rests && (b->others[a] <= (level->others[a] * most));
+    }
+    if (rests) {
+        const bool calm_enough = resting ? (loud(s, k, DS_WINDOW) <= 1U) : (loud(s, k, 1U) == 0U);
+        if (!(calm_enough && (scatter(s, k, DS_WINDOW) < (DS_EVEN * level->noise)))) {
+            /* or it shakes in rest, but less than in movement */
+            rests = (b->plain < (0.5f * s->driving))
+                    && (scatter(s, k, 3U * DS_WINDOW) < (DS_STEADY * level->noise));
+        }
+    }
+    return rests;
 }
 
 /* How many blocks of the movement that shows in block k lie before it, and one. */
@@ -174,7 +206,10 @@ static uint32_t label(ds_bias *s, uint32_t k)
 {
     ds_mark *const mark = &ds_slot_of(s, k)->mark;
     const bool resting = (k > 0U) && ds_slot_of(s, k - 1U)->mark.rests;
-    const bool still = quiet(s, k);
+    bool still = quiet(s, k, resting);
+    if (resting && !still && thin(s, k)) { /* just after a pause: the window says nothing */
+        still = agrees(s, k);
+    }
     const uint32_t far = still ? too_far(s, k) : 0U;
     uint32_t back = 0U;
     if (!still) {
@@ -196,9 +231,14 @@ static uint32_t label(ds_bias *s, uint32_t k)
         s->fresh = true;
     } else {
         mark->rests = true;
+        s->vetoed = 0U;
+        s->quietest.variance = 0.0f;
         if (k >= (s->began + scales[DS_SCALES - 1U])) {
             s->refused = 0U;
         }
+    }
+    if (!mark->rests) {
+        ds_raise_level(s, k, scatter(s, k, 3U * DS_WINDOW));
     }
     return back;
 }
@@ -207,7 +247,7 @@ uint32_t ds_judge(ds_bias *s, uint32_t k)
 {
     ds_slot *const slot = ds_slot_of(s, k);
     uint32_t low = k;
-    if (slot->block.count < 2.0f) { /* nothing was heard: it goes on as it was */
+    if (!ds_heard(&slot->block)) { /* nothing was heard: it goes on as it was */
         slot->mark.rests = (k > 0U) && ds_slot_of(s, k - 1U)->mark.rests;
     } else {
         const uint32_t back = label(s, k);

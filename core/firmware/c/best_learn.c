@@ -2,6 +2,7 @@
  * drifts. See ds_bias.h. */
 #include <math.h>
 #include <stddef.h>
+#include <string.h>
 
 #include "ds_bias.h"
 
@@ -84,6 +85,24 @@ static void scale(ds_bias *s)
     tabulate(s);
 }
 
+/* A new level: everything that is learnt begins again from it. */
+static void begin_level(ds_bias *s, uint32_t k, float reading, float plain, float held)
+{
+    s->level.reading = reading;
+    s->level.spread = sqrtf(2.0f / (held - 1.0f));
+    s->level.noise = reading / held;
+    s->level.white = plain / held;
+    s->level.held = held;
+    s->level.learnt = 0.0f;
+    for (size_t a = 0U; a < DS_OTHERS; a++) {
+        s->level.others[a] = 0.0f;
+        for (uint32_t i = 0U; (i < DS_WINDOW) && (i <= k); i++) {
+            s->level.others[a] += ds_slot_of(s, k - i)->block.others[a] / (float)DS_WINDOW;
+        }
+    }
+    scale(s);
+}
+
 /* The first level of noise, or a new one where a window of blocks is far quieter than what passed for rest. */
 void ds_set_level(ds_bias *s, uint32_t k)
 {
@@ -99,26 +118,37 @@ void ds_set_level(ds_bias *s, uint32_t k)
         total += b->clipped * share;
         plain += b->plain * share;
         held += b->count * share;
-        whole = b->count >= 2.0f;
+        whole = ds_heard(b);
     }
     if (whole && (total > 0.0f)) {
-        const float spread = sqrtf(2.0f / (held - 1.0f));
-        const float below = 1.0f - ds_least(0.7f, 3.0f * spread);
-        if ((s->level.reading <= 0.0f) || (most <= (s->level.reading * below))) {
-            s->level.reading = total;
-            s->level.spread = spread;
-            s->level.noise = total / held;
-            s->level.white = plain / held;
-            s->level.held = held;
-            s->level.learnt = 0.0f;
-            for (size_t a = 0U; a < DS_OTHERS; a++) {
-                s->level.others[a] = 0.0f;
-                for (uint32_t i = 0U; i < DS_WINDOW; i++) {
-                    s->level.others[a] += ds_slot_of(s, k - i)->block.others[a] * share;
-                }
-            }
-            scale(s);
+        const float below = 1.0f - ds_least(0.7f, 3.0f * sqrtf(2.0f / (held - 1.0f)));
+        if ((s->level.reading <= 0.0f) || (most < (s->level.reading * below))) {
+            begin_level(s, k, total, plain, held);
         }
+    }
+}
+
+/* A higher level where for long nothing has passed for rest: that of the steadiest block since, if the last means
+ * scatter no more than their own noise says. */
+void ds_raise_level(ds_bias *s, uint32_t k, float scatter)
+{
+    const ds_block *const b = &ds_slot_of(s, k)->block;
+    ds_quietest *const q = &s->quietest;
+    const uint32_t patience = (s->level.learnt > 0.0f) ? (4U * DS_PATIENCE) : DS_PATIENCE;
+    s->vetoed++;
+    if (ds_heard(b) && (b->plain > 0.0f) && (scatter < (DS_STEADY * b->plain / b->count))
+        && ((q->variance <= 0.0f) || (b->plain < q->variance))) {
+        q->variance = b->plain;
+        q->count = b->count;
+        (void)memcpy(q->others, b->others, sizeof q->others);
+    }
+    if (s->vetoed >= patience) {
+        s->vetoed = 0U;
+        if (q->variance > 0.0f) {
+            begin_level(s, k, q->variance, q->variance, q->count);
+            (void)memcpy(s->level.others, q->others, sizeof q->others);
+        }
+        q->variance = 0.0f;
     }
 }
 
@@ -157,7 +187,8 @@ static void end_of_rest(ds_bias *s, uint32_t length)
             const float known = (s->level.noise / bin->held) + s->start_variance;
             const float most = 16.0f * (known + ds_most(bin->variance, 0.0f));
             const float d = (s->old.sign * bin->sum / bin->held) - bin->mean;
-            const float prior = known / (bin_usual[i] * white); /* rests that the mean's prior, 0, counts for */
+            const float usual = (bin_usual[i] * white) + (1.0e-3f * known);
+            const float prior = known / usual; /* rests that the mean's prior, 0, counts for */
             bin->rests += 1.0f;
             bin->mean += clip(d, sqrtf(most)) / ds_least(bin->rests + prior, 1000.0f);
             bin->variance += (ds_least(d * d, most) - known - bin->variance)
@@ -217,7 +248,7 @@ static void learn_drift(ds_bias *s, const ds_slot *settled)
     s->group_sum += settled->block.mean - (s->filter.x[2] * settled->block.kelvin) - left;
     s->group_noise += s->level.noise;
     s->group_count++;
-    s->group_time += DS_BLOCK_S;
+    s->group_time += settled->block.time;
     if (s->group_count >= DS_GROUP) {
         const float groups = (float)DS_GROUP;
         const float tail = (since < DS_TABLE) ? s->tail_variance[since] : 0.0f;
@@ -252,10 +283,19 @@ static void learn_drift(ds_bias *s, const ds_slot *settled)
 }
 #endif
 
+/* The lower quartile of the blocks' variances: it goes up by a third of what it goes down. */
+static void learn_driving(ds_bias *s, float plain)
+{
+    if (s->driving <= 0.0f) {
+        s->driving = plain;
+    }
+    s->driving *= (plain > s->driving) ? 1.0025f : 0.9925f;
+}
+
 void ds_learn(ds_bias *s, const ds_slot *settled)
 {
     const ds_mark *const mark = &settled->mark;
-    const bool heard = settled->block.count >= 2.0f;
+    const bool heard = ds_heard(&settled->block);
     if (mark->rests) {
         if (heard) {
             learn_levels(s, &settled->block);
@@ -268,12 +308,13 @@ void ds_learn(ds_bias *s, const ds_slot *settled)
         if (s->old_known && s->old.rests && (s->old.since < DS_TABLE)) {
             end_of_rest(s, s->old.since);
         }
-        s->group_time += DS_BLOCK_S;
+        s->group_time += settled->block.time;
         s->group_sum = 0.0f;
         s->group_noise = 0.0f;
         s->group_count = 0U;
         s->start_bias = settled->bias;
         s->start_variance = settled->bias_variance;
+        learn_driving(s, settled->block.plain);
     }
     if (heard) {
         s->old = *mark;
