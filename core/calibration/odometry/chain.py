@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from core.calibration.odometry.arrow import Arrow
-from core.calibration.odometry.model import DELAY, GYRO, IMU_CLOCK, LEFT, RIGHT, TAG_X, TAG_Y, TRACK
+from core.calibration.odometry.model import DELAY, GYRO, IMU_CLOCK, LEFT, RIGHT, TAG_X, TAG_Y, TAG_YAW, TRACK
 from core.calibration.odometry.reference import Reference
 from core.estimation.cleaning import gyro_readings, wheel_readings
 from core.estimation.odometry import arcs
@@ -102,11 +102,11 @@ class Chain:
         """Residuals and Jacobians at the current poses and this (n,) of shared unknowns."""
         v, w = self.speeds(shared)
         own = 0.0 if self.delay is None else float(shared[self.delay])
-        z, Az, J3 = self.reference.residuals(self.pose, v, w, shared, own)
+        z, Az, J4 = self.reference.residuals(self.pose, v, w, shared, own)
         Jz = np.zeros((*z.shape, len(shared)))
-        Jz[..., [TAG_X, TAG_Y, DELAY]] = J3
+        Jz[..., [TAG_X, TAG_Y, TAG_YAW, DELAY]] = J4
         if self.delay is not None:
-            Jz[..., self.delay] = J3[..., 2]
+            Jz[..., self.delay] = J4[..., 3]
         theta = self.pose[:, 2]
         swept = np.einsum("kij,kj->ki", Az, np.column_stack((v * np.cos(theta), v * np.sin(theta), w)))
         self._at = shared

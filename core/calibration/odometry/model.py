@@ -33,17 +33,18 @@ TABLE = (
     Parameter("gyro_scale", "1", 0.02, "turn on the spot, several full turns"),
     Parameter("tag_x", "m", 0.2, "turn on the spot in view of the beacons"),
     Parameter("tag_y", "m", 0.2, "turn on the spot in view of the beacons"),
+    Parameter("tag_yaw", "rad", 0.1, "drive straight, some metres"),
     Parameter("imu_clock", "s", 0.05, "start and stop turning often"),
     Parameter("reference_delay", "s", 0.1, "drive fast, both ways over the same ground"),
     Parameter("imu_yaw", "rad", 0.1, "speed up and brake hard"),
     Parameter("imu_x", "m", 0.1, "turn fast on the spot"),
     Parameter("imu_y", "m", 0.1, "turn fast on the spot"),
 )
-"""Widths of radii, track and gyro scale are relative to nominal. The first eight are solved for together."""
+"""Widths of radii, track and gyro scale are relative to nominal. The first nine are solved for together."""
 
 NAMES = tuple(p.name for p in TABLE)
-LEFT, RIGHT, TRACK, GYRO, TAG_X, TAG_Y, IMU_CLOCK, DELAY = range(8)
-SHARED = 8  # solved for together, as corrections of nominal values
+LEFT, RIGHT, TRACK, GYRO, TAG_X, TAG_Y, TAG_YAW, IMU_CLOCK, DELAY = range(9)
+SHARED = 9  # solved for together, as corrections of nominal values
 
 
 @dataclass(frozen=True)

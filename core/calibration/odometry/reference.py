@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from core.calibration.odometry.model import DELAY, TAG_X, TAG_Y
+from core.calibration.odometry.model import DELAY, TAG_X, TAG_Y, TAG_YAW
 from core.errors import MissingStreamError, NotEnoughDataError, ParameterError
 from core.estimation.beacon import gather_rounds, multilaterate
 from core.estimation.cleaning import gyro_readings
@@ -41,7 +41,7 @@ class Reference:
     def residuals(
         self, pose: Array, v: Array, w: Array, shared: Array, more_delay: float = 0.0
     ) -> tuple[Array, Array, Array]:
-        """Expected less read (K, d), Jacobians by the pose (K, d, 3) and by tag_x, tag_y, delay (K, d, 3)."""
+        """Expected less read (K, d), Jacobians by the pose (K, d, 3) and by the tag's x, y, yaw and delay (K, d, 4)."""
         tx, ty = self.tag[0] + shared[TAG_X], self.tag[1] + shared[TAG_Y]
         then = pose.copy()
         late = shared[DELAY] + more_delay
@@ -53,15 +53,16 @@ class Reference:
         x, y = then[:, 0] + cos * tx - sin * ty, then[:, 1] + sin * tx + cos * ty
         arm_x, arm_y = -sin * tx - cos * ty, cos * tx - sin * ty
         k = len(pose)
-        A, J = np.zeros((k, 3, 3)), np.zeros((k, 3, 3))
+        A, J = np.zeros((k, 3, 3)), np.zeros((k, 3, 4))
         A[:, range(3), range(3)] = 1.0
         A[:, 0, 2], A[:, 1, 2] = arm_x, arm_y
-        J[:, 0] = np.column_stack((cos, -sin, -v * cos - w * arm_x))
-        J[:, 1] = np.column_stack((sin, cos, -v * sin - w * arm_y))
-        J[:, 2, 2] = -w
+        none = np.zeros(k)
+        J[:, 0] = np.column_stack((cos, -sin, none, -v * cos - w * arm_x))
+        J[:, 1] = np.column_stack((sin, cos, none, -v * sin - w * arm_y))
+        J[:, 2, 2], J[:, 2, 3] = 1.0, -w
         if self.places is None:
             d = self.z.shape[1]
-            e = np.column_stack((x, y, then[:, 2]))[:, :d] - self.z
+            e = np.column_stack((x, y, then[:, 2] + shared[TAG_YAW]))[:, :d] - self.z
             if d == 3:
                 e[:, 2] = wrap_angle(e[:, 2])
             return e, A[:, :d], J[:, :d]

@@ -27,6 +27,7 @@ from core.calibration.odometry.model import (
     TABLE,
     TAG_X,
     TAG_Y,
+    TAG_YAW,
     TRACK,
     OdometryCalibration,
 )  # fmt: skip
@@ -75,7 +76,7 @@ def calibrate_odometry(
     if not np.all(np.abs(shared[:SHARED]) <= FARTHEST * width):
         worst = TABLE[int(np.nanargmax(np.abs(shared[:SHARED]) / width))].name
         raise NotEnoughDataError(
-            f"the search ran away ({worst} is far from plausible): wheels, gyro and reference do not tell of one motion",
+            f"the search ran away ({worst} is not plausible): wheels, gyro and reference do not tell of one motion",
             parameter=worst,
         )
     information, _ = _reduced(chains, noise)
@@ -126,6 +127,9 @@ def _present(chains: Sequence[Chain], unknowns: int) -> tuple[npt.NDArray[np.boo
     if all(c.reference.kind == "truth" for c in chains):
         free[[TAG_X, TAG_Y]] = False
         reasons |= dict.fromkeys(("tag_x", "tag_y"), "the reference is truth: of the body's origin, not of the tag")
+    if all(c.reference.z.shape[1] < 3 for c in chains):
+        free[TAG_YAW] = False
+        reasons["tag_yaw"] = "the reference has no heading"
     if any(c.delay is not None for c in chains):
         free[DELAY] = False
         reasons["reference_delay"] = "each run was given a delay of its own"
@@ -203,7 +207,7 @@ def _learnt(chains: Sequence[Chain], shared: Array, free: npt.NDArray[np.bool_],
     now = (noise.slip, noise.side, noise.places, noise.headings, max(noise.jitter, 2e-3))
     start = np.log(now[: 2 if stated else 5])
     simplex = np.vstack((start, start + 0.7 * np.eye(len(start))))
-    options = {"maxfev": 12 * len(start), "xatol": 0.05, "fatol": 0.05, "initial_simplex": simplex}
+    options = {"maxfev": (24 if stated else 120), "xatol": 0.05, "fatol": 0.05, "initial_simplex": simplex}
     return noise_of(np.asarray(minimize(unlikely, start, method="Nelder-Mead", options=options).x))
 
 
@@ -248,7 +252,7 @@ def _values(run: Run, shared: Array, covariance: Array, shown: npt.NDArray[np.bo
     robot = run.meta.robot
     r, b = robot.wheel_radius or 0.0, robot.track_width or 0.0
     base = {LEFT: (r, r), RIGHT: (r, r), TRACK: (b, b), GYRO: (1.0, 1.0), TAG_X: (robot.tag.x, 1.0),
-            TAG_Y: (robot.tag.y, 1.0), IMU_CLOCK: (0.0, 1.0), DELAY: (0.0, 1.0)}  # fmt: skip
+            TAG_Y: (robot.tag.y, 1.0), TAG_YAW: (0.0, 1.0), IMU_CLOCK: (0.0, 1.0), DELAY: (0.0, 1.0)}  # fmt: skip
     sd = np.sqrt(np.diag(covariance))
     values: dict[str, Value | None] = {}
     for i, (nominal, unit) in base.items():
