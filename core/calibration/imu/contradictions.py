@@ -19,6 +19,7 @@ Floats = npt.NDArray[np.float64]
 
 GROSS = 0.2  # of the declared size
 GYRO_BIAS = 0.35  # rad/s, 20 deg/s: the worst MEMS gyros
+KNOWN_BIAS = 0.035  # rad/s, how far a gyro's bias is from what most segments say
 ACCEL_BIAS = 2.0  # m/s^2
 GRAVITY = 9.80665
 DEGREES = 180 / np.pi
@@ -83,9 +84,16 @@ def declared(s: Stretch, gyro: bool) -> Floats | None:
 
 
 def _provisional_bias(found: Sequence[Stretch], axes: list[int]) -> Floats:
-    """Median level at rest; zero where no stretch rests."""
-    levels = [s.level[axes] for s in found if s.still and np.isfinite(s.level[axes]).all()]
-    return np.median(levels, axis=0) if levels else np.zeros(len(axes))
+    """A bias that most segments agree with: a level at rest, or the middle of what is read beyond the declared."""
+    known = [s for s in found if np.isfinite(s.level[axes]).all()]
+    if not known:
+        return np.zeros(len(axes))
+    beyond = np.array([s.level[axes] - s.rate[[j % 3 for j in axes]] for s in known])
+    size = np.array([np.linalg.norm(s.rate) for s in known])
+    candidates = np.vstack([beyond[[s.still for s in known]], np.median(beyond, axis=0)])
+    reach = GROSS * size + KNOWN_BIAS
+    votes = [np.minimum(np.linalg.norm(beyond - c, axis=1) / reach, 1.0).sum() for c in candidates]
+    return np.asarray(candidates[int(np.argmin(votes))])
 
 
 def _units(found: Sequence[Stretch], gyro: bool, axes: list[int]) -> list[str]:
@@ -125,15 +133,14 @@ def _gross(s: Stretch, gyro: bool, axes: list[int], bias: Floats) -> str:
     true, m = u[local], s.level[axes] - bias
     size, found = float(np.linalg.norm(true)), float(np.linalg.norm(m))
     limit = _saturated(s, axes)
-    allowance = (GYRO_BIAS if not bias.any() else 0.1 * GYRO_BIAS) if gyro else ACCEL_BIAS
+    allowance = KNOWN_BIAS if gyro else ACCEL_BIAS
     if float(np.linalg.norm(m - true)) <= GROSS * size + allowance:
         return limit
     if limit:
         return limit
     unit = "rad/s" if gyro else "m/s²"
-    told = (
-        f"declared {_vector(u)} {unit}, read {_vector(np.where(np.isin(range(3), local), _spread(m, local), np.nan))}"
-    )
+    read = _spread(m, local)
+    told = f"declared {_vector(u)} {unit}, read (bias taken off) {_vector(read)}"
     if size <= allowance and gyro:
         return f"it is declared at rest but turns: {told}"
     along = float(m @ true) / (size * found) if size * found > 0 else 0.0
@@ -141,7 +148,7 @@ def _gross(s: Stretch, gyro: bool, axes: list[int], bias: Floats) -> str:
         return f"degrees taken for radians: {told}"
     if gyro and abs(found / size * DEGREES - 1) < GROSS:
         return f"the declared rate looks like deg/s, wanted are rad/s: {told}"
-    if found < GROSS * size + (0 if not gyro else 0.1 * allowance):
+    if found < GROSS * size + (0 if not gyro else KNOWN_BIAS):
         return f"{'the table does not move' if gyro else 'no gravity is felt'}: {told}"
     if along < -0.8:
         return f"{'the table turns the other way' if gyro else 'the other side is up'} (wrong sign): {told}"

@@ -53,7 +53,9 @@ def _constants(run: Run, calibration: ImuCalibration, window: int) -> tuple[ImuL
 def _values(imu: ImuLog, made: Constants, *, online: bool) -> Floats:
     values = readings(imu)
     t = np.asarray(imu.t, np.float64)
-    return _online(made, t, values) if online else offline(made, t, values)
+    out = _online(made, t, values) if online else offline(made, t, values)
+    out[:, [getattr(imu, name) is None for name in AXES]] = np.nan
+    return out
 
 
 _online = online

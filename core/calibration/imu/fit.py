@@ -158,7 +158,9 @@ def _described(problem: Problem, levels: Levels, tau: float | None, gain: float)
         made = _spread(problem, levels, tau, beta, shown=gain >= SHOWN)
         variance, log_sd = made.variance, made.log_sd
         if gain < SHOWN:
-            beta = made.mean
+            beta, _, _, offsets = problem.solve(levels, None)
+            beta = np.append(beta, made.mean[-1])
+            offsets = np.column_stack([offsets, np.zeros(len(offsets))])
             if problem.span >= LONG_ENOUGH:
                 amplitude, amplitude_sd = float(beta[-1]), float(np.sqrt(variance[-1]))
             notes += ("no drift is shown; its time is not identifiable",)
@@ -177,7 +179,9 @@ def _described(problem: Problem, levels: Levels, tau: float | None, gain: float)
     static = static_sd = np.nan
     if shown[problem.static]:
         static, static_sd = float(beta[problem.static]), float(np.sqrt(variance[problem.static]))
-    columns = [problem.fixed] + ([] if tau is None else [problem.curve(tau)[:, None]])
+    model = problem.fixed @ beta[: problem.drift]
+    if tau is not None and gain >= SHOWN:
+        model = model + beta[-1] * problem.curve(tau)
     return AxisFit(
         row=row,
         row_sd=row_sd,
@@ -193,7 +197,7 @@ def _described(problem: Problem, levels: Levels, tau: float | None, gain: float)
         drift_gain=gain,
         tau_log_sd=log_sd,
         tau_best=np.nan if tau is None else tau,
-        model=np.hstack(columns) @ beta,
+        model=model,
         notes=notes,
     )
 
@@ -211,8 +215,8 @@ def _spread(problem: Problem, levels: Levels, tau: float, beta: Floats, *, shown
     """Second moments about `beta` and log tau over the likelihood of tau and of the flicker's level.
 
     A short record hardly shows its flicker, and what it does not show may still bend a drift: so levels are averaged
-    over, evenly likely by their logarithm, as are times. Where no drift is shown: about the mean, over times that the
-    runs are long enough to show.
+    over, evenly likely by their logarithm, as are times. Where no drift is shown: about the fit without one, over
+    times that the runs are long enough to show.
     """
     weights, parts = [], []
     for level, weight in _flicker_levels(problem, levels, tau):
@@ -223,11 +227,16 @@ def _spread(problem: Problem, levels: Levels, tau: float, beta: Floats, *, shown
         weights.append(weight * within / within.sum())
         parts.append((logs, np.array([s[0] for s in solved]), np.array([np.diag(s[1]) for s in solved])))
     likely = np.concatenate(weights)
+    likely /= likely.sum()
     logs, values, own = (np.concatenate([p[k] for p in parts]) for k in range(3))
     middle = float(np.log(tau))
     mean = likely @ values
     wide = float(np.sqrt(likely @ (logs - likely @ logs) ** 2)) > WIDEST or not shown
     about, centre = (mean, float(likely @ logs)) if wide else (beta, middle)
+    if not shown:
+        # What is used is the constant bias; the drift that may hide in it widens its deviation.
+        about = np.append(problem.solve(levels, None)[0], mean[-1])
+        mean = about
     return _Spread(mean, likely @ (own + (values - about) ** 2), float(np.sqrt(likely @ (logs - centre) ** 2)))
 
 
