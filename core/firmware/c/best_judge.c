@@ -95,8 +95,8 @@ static bool calm(const ds_bias *s, const ds_block *b)
     return b->clipped < (s->level.reading * (1.0f + (DS_FAR * s->level.spread)));
 }
 
-/* One block's mean with the bias before it, if there was one. */
-static bool agrees(ds_bias *s, uint32_t i)
+/* One block's mean with the bias before it, if there was one, within `most` deviations. */
+static bool agrees(ds_bias *s, uint32_t i, float most)
 {
     const ds_block *const b = &ds_slot_of(s, i)->block;
     bool good = calm(s, b) && !b->moves && (b->count > 0.0f);
@@ -104,7 +104,7 @@ static bool agrees(ds_bias *s, uint32_t i)
         const ds_slot *const old = ds_slot_of(s, i - 1U);
         const float off = b->mean - old->bias;
         const float spread = ds_noise_of(&s->level, b->count) + old->bias_variance + s->level.swing;
-        good = (off * off) < (DS_ENTER * DS_ENTER * spread);
+        good = (off * off) < (most * most * spread);
     }
     return good;
 }
@@ -187,12 +187,14 @@ static uint32_t take_back(ds_bias *s, uint32_t k, uint32_t back)
     return low;
 }
 
-/* A rest told from a window began inside it. */
+/* A rest told from a window began inside it. Little of it is taken: what creeps in here is lost, and bends the bias as
+ * well. At the very start all of it. */
 static uint32_t begin_earlier(ds_bias *s, uint32_t k)
 {
+    const uint32_t back = (k < DS_WINDOW) ? DS_WINDOW : (DS_WINDOW / 2U);
     uint32_t low = k;
-    for (uint32_t i = 1U; (i < DS_WINDOW) && (k >= (oldest_of(k) + i)); i++) {
-        if (!agrees(s, k - i)) {
+    for (uint32_t i = 1U; (i < back) && (k >= (oldest_of(k) + i)); i++) {
+        if (!agrees(s, k - i, 1.5f)) {
             break;
         }
         low = k - i;
@@ -208,7 +210,7 @@ static uint32_t label(ds_bias *s, uint32_t k)
     const bool resting = (k > 0U) && ds_slot_of(s, k - 1U)->mark.rests;
     bool still = quiet(s, k, resting);
     if (resting && !still && thin(s, k)) { /* just after a pause: the window says nothing */
-        still = agrees(s, k);
+        still = agrees(s, k, DS_ENTER);
     }
     const uint32_t far = still ? too_far(s, k) : 0U;
     uint32_t back = 0U;
