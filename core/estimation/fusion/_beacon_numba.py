@@ -22,10 +22,12 @@ from core.estimation.fusion.layout import (
     GZ,
     HAS_ACCEL,
     HAS_GYRO,
+    INNOVATION,
     KR,
     LEAP,
     LEAPT,
     MEMORY,
+    NOISE,
     OFFSET_TAU,
     OFFSET_VAR,
     ONSET,
@@ -40,6 +42,7 @@ from core.estimation.fusion.layout import (
     REJECTED,
     RELOCATED,
     ROOM,
+    ROW,
     STUBBORN,
     T_FIX,
     T_OFFSET,
@@ -55,7 +58,6 @@ from core.estimation.fusion.layout import (
     Y,
 )  # fmt: skip
 
-OLD, INNOVATION, NOISE, ROW = 3, 4, 5, 6  # rows of the scratch array; the first three are P h of each reading
 SOFT = 0.45  # share of the gate from which on a reading counts less
 FAR_ENOUGH = 0.15  # rad: sd of a heading that refused fixes show
 SHOCK = 1.0  # s before the first refusal in which a disturbance explains it
@@ -65,7 +67,7 @@ DOUBT = 0.3  # rad, of the heading when many ranges are refused
 DRIVE = 5.0  # m that a robot must drive before fixes that leapt without reason are believed
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _fade_offsets(t: float, x: Any, P: Any, n: int, mem: Any, c: Any, parts: Any) -> None:
     """Lasting errors of the beacon system decay (Gauss-Markov); done only where one is asked for."""
     begin = int(c[FIRST_OFFSET])
@@ -76,14 +78,14 @@ def _fade_offsets(t: float, x: Any, P: Any, n: int, mem: Any, c: Any, parts: Any
     for o in range(begin, n):
         x[o] *= fade
         for j in range(n):
-            P[o, j] *= fade
+            P[o * N + j] *= fade
         for j in range(n):
-            P[j, o] *= fade
-        P[o, o] += c[OFFSET_VAR] * (1.0 - fade * fade)
+            P[j * N + o] *= fade
+        P[o * N + o] += c[OFFSET_VAR] * (1.0 - fade * fade)
     parts[PARTS] = fade
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _tag_speed(
     x: Any, arm_x: float, arm_y: float, cos: float, sin: float, mem: Any, c: Any
 ) -> tuple[float, float, float]:
@@ -91,7 +93,7 @@ def _tag_speed(
     return x[V] * cos - w * arm_y, x[V] * sin + w * arm_x, w
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _put(work: Any, index: Any, row: int, k: int, a: float) -> None:
     """State k has a in this row."""
     m = index[row, ROOM]
@@ -100,12 +102,12 @@ def _put(work: Any, index: Any, row: int, k: int, a: float) -> None:
     index[row, ROOM] = m + 1
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _fix_rows(a: Any, x: Any, P: Any, mem: Any, c: Any, work: Any, index: Any) -> int:
     """Rows of x, y and, where there is one, heading, with innovations and variances; how many."""
     cos, sin = math.cos(x[TH]), math.sin(x[TH])
     arm_x, arm_y = cos * c[TAG_X] - sin * c[TAG_Y], sin * c[TAG_X] + cos * c[TAG_Y]
-    late, lag = P[DT, DT] > 0.0, x[DT]
+    late, lag = P[DT * N + DT] > 0.0, x[DT]
     vx, vy, rate = _tag_speed(x, arm_x, arm_y, cos, sin, mem, c)
     o = int(a[3])
     for row in range(2):
@@ -133,7 +135,7 @@ def _fix_rows(a: Any, x: Any, P: Any, mem: Any, c: Any, work: Any, index: Any) -
     return 3
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _range_row(a: Any, x: Any, P: Any, mem: Any, c: Any, work: Any, index: Any) -> None:
     """Row of a range."""
     cos, sin = math.cos(x[TH]), math.sin(x[TH])
@@ -153,7 +155,7 @@ def _range_row(a: Any, x: Any, P: Any, mem: Any, c: Any, work: Any, index: Any) 
     o = int(a[4])
     work[INNOVATION, 0] = a[3] - (1.0 + x[KR]) * distance - x[BR]
     work[NOISE, 0] = c[R_RANGE]
-    if P[DT, DT] > 0.0:
+    if P[DT * N + DT] > 0.0:
         _put(work, index, 0, DT, -ux * vx - uy * vy)
         _put(work, index, 0, V, -lag * (ux * cos + uy * sin))
     if o > 0:
@@ -161,7 +163,7 @@ def _range_row(a: Any, x: Any, P: Any, mem: Any, c: Any, work: Any, index: Any) 
         work[INNOVATION, 0] -= x[o]
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _product(row: int, work: Any, index: Any, of: int) -> float:
     """Row h times P h of another row."""
     total = 0.0
@@ -170,55 +172,55 @@ def _product(row: int, work: Any, index: Any, of: int) -> float:
     return total
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _joint(P: Any, n: int, rows: int, work: Any, index: Any) -> tuple[float, float]:
     """Joint normalised innovation squared of up to three readings, and the log of the determinant, by L D L' of the
     innovation's covariance, written out."""
-    nu, r = work[INNOVATION], work[NOISE]
     for row in range(rows):
-        covariance_with(P, n, index[row], work[ROW + row], work[row])
-    s00 = _product(0, work, index, 0) + r[0]
-    nis, log = nu[0] * nu[0] / s00, math.log(s00)
+        covariance_with(P, n, work, index, row, row)
+    s00 = _product(0, work, index, 0) + work[NOISE, 0]
+    nis, volume = work[INNOVATION, 0] * work[INNOVATION, 0] / s00, s00
     if rows > 1:
         s10 = _product(1, work, index, 0)
         l10 = s10 / s00
-        d1, z1 = _product(1, work, index, 1) + r[1] - l10 * s10, nu[1] - l10 * nu[0]
-        nis, log = nis + z1 * z1 / d1, log + math.log(d1)
+        d1, z1 = (
+            _product(1, work, index, 1) + work[NOISE, 1] - l10 * s10,
+            work[INNOVATION, 1] - l10 * work[INNOVATION, 0],
+        )
+        nis, volume = nis + z1 * z1 / d1, volume * d1
         if rows > 2:
             s20 = _product(2, work, index, 0)
             l20 = s20 / s00
             l21 = (_product(2, work, index, 1) - l20 * s10) / d1
-            d2 = _product(2, work, index, 2) + r[2] - l20 * s20 - l21 * l21 * d1
-            z2 = nu[2] - l20 * nu[0] - l21 * z1
-            nis, log = nis + z2 * z2 / d2, log + math.log(d2)
-    return nis, log
+            d2 = _product(2, work, index, 2) + work[NOISE, 2] - l20 * s20 - l21 * l21 * d1
+            z2 = work[INNOVATION, 2] - l20 * work[INNOVATION, 0] - l21 * z1
+            nis, volume = nis + z2 * z2 / d2, volume * d2
+    return nis, math.log(volume)
 
 
 @njit(error_model="numpy")
 def _take(x: Any, P: Any, n: int, rows: int, ease: float, work: Any, index: Any, rec: Any, k: int) -> None:
-    """Update by an event's readings in turn. All are of one prediction: what an earlier one has moved is taken out,
-    linearly. `ease` >= 1 widens a reading at the edge of its gate."""
-    x_old, g = work[OLD], work[0]
-    for i in range(n):
-        x_old[i] = x[i]
+    """Update by an event's readings in turn, from the P h of each that `_joint` has left. All are of one prediction:
+    what an earlier one moves is taken out of the later ones, linearly. `ease` >= 1 widens a reading near its gate."""
     for row in range(rows):
-        value = work[ROW + row]
-        variance = covariance_with(P, n, index[row], value, g) + work[NOISE, row] * ease
-        left = work[INNOVATION, row]
-        for m in range(index[row, ROOM]):
-            i = index[row, m]
-            left -= value[m] * (x[i] - x_old[i])
+        variance = _product(row, work, index, row) + work[NOISE, row] * ease
+        nu = work[INNOVATION, row]
         if k >= 0:
             u = rec.marks[k + 1, 0]
             for m in range(ROOM + 1):
                 rec.which[u, m] = index[row, m]
             for m in range(ROOM):
-                rec.corrections[u, VALUES + m] = value[m]
-            keep(rec, k, g, n, left, variance)
-        correct(x, P, n, g, left, variance)
+                rec.corrections[u, VALUES + m] = work[ROW + row, m]
+            keep(rec, k, work, row, n, nu, variance)
+        for later in range(row + 1, rows):
+            share = _product(later, work, index, row) / variance
+            work[INNOVATION, later] -= share * nu
+            for i in range(n):
+                work[later, i] -= share * work[row, i]
+        correct(x, P, n, work, row, nu, variance)
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _agree(t: float, mem: Any) -> None:
     """An accepted fix; three in a row end a row of refusals, as one may pass by chance."""
     mem[T_FIX] = t
@@ -228,11 +230,10 @@ def _agree(t: float, mem: Any) -> None:
 
 
 @njit(error_model="numpy")
-def _first_refused(t: float, nu: Any, sd: float, mem: Any, c: Any) -> None:
+def _first_refused(t: float, far: float, mem: Any, c: Any) -> None:
     """When a row of refusals begins: have the fixes leapt faster than any robot, or without anything having shaken it?
     Then it is they who lie."""
     gap = t - mem[T_FIX] if mem[T_FIX] >= 0.0 else 1e9
-    far = math.sqrt(nu[0] * nu[0] + nu[1] * nu[1]) - 3.0 * sd
     unshaken = c[HAS_ACCEL] != 0.0 and gap < SHOCK and mem[T_STRANGE] < t - gap - SHOCK
     mem[ONSET], mem[DRIVEN] = t, 0.0
     mem[LEAPT] = 1.0 if (far > c[LEAP] * max(gap, 1e-3) or unshaken) else 0.0
@@ -244,7 +245,7 @@ def _refused(
 ) -> bool:
     """Keep a refused fix; true where enough of them agree, and the pose has been moved to what they say."""
     if mem[REFUSED] == 0.0:
-        _first_refused(t, work[INNOVATION], sd, mem, c)
+        _first_refused(t, math.hypot(work[INNOVATION, 0], work[INNOVATION, 1]) - 3.0 * sd, mem, c)
     else:
         last = past[(int(mem[REFUSED]) - 1) % PAST]
         mem[DRIVEN] += math.sqrt((x[X] - last[0]) ** 2 + (x[Y] - last[1]) ** 2)
@@ -293,7 +294,7 @@ def _relocate(newest: int, many: int, x: Any, P: Any, n: int, past: Any, c: Any)
         cross += ax * by - ay * bx
         spread += ax * ax + ay * ay
         far += bx * bx + by * by
-    turn, var_turn = 0.0, (TURNED * TURNED if c[HAS_GYRO] != 0.0 else BLIND * BLIND) + P[TH, TH]
+    turn, var_turn = 0.0, (TURNED * TURNED if c[HAS_GYRO] != 0.0 else BLIND * BLIND) + P[TH * N + TH]
     if headed > 0:
         turn, var_turn = math.atan2(st, ct), c[R_FIX_THETA] / headed
     elif spread > 0.0 and c[R_FIX] < FAR_ENOUGH * FAR_ENOUGH * spread:
@@ -313,9 +314,9 @@ def _relocate(newest: int, many: int, x: Any, P: Any, n: int, past: Any, c: Any)
     anchor(P, n, X, var + var_turn * sy * sy)
     anchor(P, n, Y, var + var_turn * sx * sx)
     anchor(P, n, TH, var_turn)
-    P[X, Y] = P[Y, X] = -var_turn * sx * sy
-    P[X, TH] = P[TH, X] = -var_turn * sy
-    P[Y, TH] = P[TH, Y] = var_turn * sx
+    P[X * N + Y] = P[Y * N + X] = -var_turn * sx * sy
+    P[X * N + TH] = P[TH * N + X] = -var_turn * sy
+    P[Y * N + TH] = P[TH * N + Y] = var_turn * sx
     return True
 
 
@@ -332,7 +333,7 @@ def fix(
     gate = c[GATE2] if rows == 2 else c[GATE3]
     ease = max(nis / (SOFT * gate), 1.0)
     if not nis <= gate:
-        sd = math.sqrt(0.5 * (P[X, X] + P[Y, Y]) + c[R_FIX])
+        sd = math.sqrt(0.5 * (P[X * N + X] + P[Y * N + Y]) + c[R_FIX])
         if not _refused(t, a, flags, sd, x, P, n, mem, past, c, work):
             out.status[e, 0] = REJECTED
             return
@@ -340,6 +341,7 @@ def fix(
             rec.marks[k, 1] |= (1 << X) | (1 << Y) | (1 << TH)
         out.status[e, 0], ease = RELOCATED, 1.0
         rows = _fix_rows(a, x, P, mem, c, work, index)
+        _joint(P, n, rows, work, index)
     _agree(t, mem)
     _take(x, P, n, rows, ease, work, index, rec, k)
 
@@ -349,16 +351,16 @@ def _refused_range(nu: float, o: int, x: Any, P: Any, mem: Any, c: Any) -> bool:
     """A refused range; true where there were so many that the filter doubts its own pose, or this beacon."""
     mem[REFUSED_RANGES] += 1.0
     if mem[REFUSED_RANGES] > c[PATIENCE]:
-        P[X, X] += nu * nu
-        P[Y, Y] += nu * nu
-        P[TH, TH] += DOUBT * DOUBT
+        P[X * N + X] += nu * nu
+        P[Y * N + Y] += nu * nu
+        P[TH * N + TH] += DOUBT * DOUBT
         return True
     if o <= 0 or c[OFFSET_VAR] <= 0.0:
         return False
     mem[MEMORY - N + o] += 1.0
     if mem[MEMORY - N + o] <= c[PATIENCE]:
         return False
-    P[o, o] += nu * nu
+    P[o * N + o] += nu * nu
     return True
 
 
@@ -378,6 +380,7 @@ def range_to(
         out.status[e, 0], ease = REJECTED, 1.0
         if not _refused_range(work[INNOVATION, 0], o, x, P, mem, c):
             return
+        _joint(P, n, rows, work, index)
     mem[REFUSED_RANGES] = 0.0
     if o > 0:
         mem[MEMORY - N + o] = 0.0

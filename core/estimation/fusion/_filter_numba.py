@@ -74,7 +74,7 @@ from core.estimation.fusion.layout import (
 WASH, RECENT = 0.3, 1.0  # s: memory of a change of speed; for how long the largest one is kept
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _inertial(t: float, kind: int, a: Any, mem: Any, c: Any) -> tuple[float, float, float]:
     """The gyro's raw turn [rad] and the accelerometer's change of speed [m/s] since the event before, and the seconds
     of them that were not seen. Between two readings the last one holds; when the next one is in, its step is completed
@@ -98,20 +98,20 @@ def _inertial(t: float, kind: int, a: Any, mem: Any, c: Any) -> tuple[float, flo
     return raw, dv, blind
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _at_rest(x: Any, P: Any, gz: float, mem: Any, c: Any) -> bool:
     """Whether the gyro's reading can be its bias; one that stays different for long becomes the bias."""
     nu = gz - x[B]
-    if nu * nu > c[GATE1] * (P[B, B] + c[R_RATE]):
+    if nu * nu > c[GATE1] * (P[B * N + B] + c[R_RATE]):
         mem[REFUSED_REST] += 1.0
         if mem[REFUSED_REST] <= c[PATIENCE_REST]:
             return False
-        P[B, B] += nu * nu
+        P[B * N + B] += nu * nu
     mem[REFUSED_REST] = 0.0
     return True
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _feel(t: float, dt: float, dv: float, mem: Any) -> None:
     """How much speed the body has lost of late that the wheels have not: both changes of speed, washed out over WASH."""
     keep = math.exp(-dt / WASH)
@@ -122,7 +122,7 @@ def _feel(t: float, dt: float, dv: float, mem: Any) -> None:
         mem[LOST_SPEED], mem[T_LOST] = lost, t
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _move(t: float, kind: int, a: Any, flags: int, x: Any, P: Any, n: int, mem: Any, c: Any, f: Any) -> None:
     """Carry the state to t; NaN in the first of the step's parts where no time has passed."""
     raw, dv, blind = 0.0, 0.0, 0.0
@@ -141,35 +141,35 @@ def _move(t: float, kind: int, a: Any, flags: int, x: Any, P: Any, n: int, mem: 
     step(x, P, n, dt, raw, dv, trusted, resting, fading, c, f)
     if blind > 0.0 and not resting:
         q, k = c[Q_PAUSE] * blind, 1.0 + x[KB]
-        P[TH, TH] += q
+        P[TH * N + TH] += q
         if n > S:
-            P[PHI, PHI] += q * k * k
-            P[TH, PHI] += q * k
-            P[PHI, TH] += q * k
+            P[PHI * N + PHI] += q * k * k
+            P[TH * N + PHI] += q * k
+            P[PHI * N + TH] += q * k
     if flags & SLIPPING:
-        P[X, X] += c[Q_SLIDE] * dt
-        P[Y, Y] += c[Q_SLIDE] * dt
+        P[X * N + X] += c[Q_SLIDE] * dt
+        P[Y * N + Y] += c[Q_SLIDE] * dt
     if flags & CARRIED:
-        P[X, X] += c[Q_CARRIED] * dt
-        P[Y, Y] += c[Q_CARRIED] * dt
-        P[TH, TH] += c[Q_CARRIED_TURN] * dt
+        P[X * N + X] += c[Q_CARRIED] * dt
+        P[Y * N + Y] += c[Q_CARRIED] * dt
+        P[TH * N + TH] += c[Q_CARRIED_TURN] * dt
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _write(x: Any, P: Any, n: int, row: int, at: int, out: Any, rec: Any) -> None:
     """A row of the path; at >= 0: what the smoother needs of it."""
     for i in range(3):
         out.rows[row, i] = x[i]
         for j in range(3):
-            out.covariance[row, i, j] = P[i, j]
+            out.covariance[row, i, j] = P[i * N + j]
     out.rows[row, 3] = x[B]
-    out.rows[row, 4] = P[B, B]
+    out.rows[row, 4] = P[B * N + B]
     if at >= 0:
         for j in range(n):
-            rec.rows[at, 0, j] = P[X, j]
-            rec.rows[at, 1, j] = P[Y, j]
-            rec.rows[at, 2, j] = P[TH, j]
-            rec.rows[at, 3, j] = P[B, j]
+            rec.rows[at, 0, j] = P[X * N + j]
+            rec.rows[at, 1, j] = P[Y * N + j]
+            rec.rows[at, 2, j] = P[TH * N + j]
+            rec.rows[at, 3, j] = P[B * N + j]
 
 
 def _entry_point(digest: int) -> Callable[..., int]:
@@ -178,11 +178,14 @@ def _entry_point(digest: int) -> Callable[..., int]:
 
     @njit(cache=True, nogil=True, error_model="numpy")
     def run_filter(
-        begin: int, end: int, row: int, events: Any, x: Any, P: Any, n: int, mem: Any, past: Any, c: Any, out: Any,
+        begin: int, end: int, row: int, events: Any, x: Any, square: Any, n: int, mem: Any, past: Any, c: Any, out: Any,
         rec: Any, record: bool,
     ) -> int:  # fmt: skip
-        work, index, parts = np.zeros((9, N)), np.zeros((3, ROOM + 1), np.int64), np.zeros(PARTS + 1)
-        row0 = row
+        work, index, parts = np.zeros((8, N)), np.zeros((3, ROOM + 1), np.int64), np.zeros(PARTS + 1)
+        P, row0 = (
+            square.reshape(N * N),
+            row,
+        )  # rows at constant distances: the compiler can see that they do not overlap
         for e in range(begin, end):
             t, a, kind, flags, k = events.t[e], events.data[e], events.kind[e], events.flags[e], -1
             if flags & STRANGE:
@@ -198,13 +201,13 @@ def _entry_point(digest: int) -> Callable[..., int]:
             _move(t, kind, a, flags, x, P, n, mem, c, parts)
             parts[PARTS] = 1.0
             if kind == WHEEL:
-                wheels(t, a, flags, x, P, n, mem, c, work[0], out, e, rec, k)
+                wheels(t, a, flags, x, P, n, mem, c, work, out, e, rec, k)
             elif kind == OUT:
                 if mem[RESTING] != 0.0:
                     for i in range(2):
                         state = V if i else B
                         z, r = (0.0, c[R_STILL]) if i else (a[0], c[R_RATE])
-                        correct_state(x, P, n, state, z - x[state], r, work[0], rec, k)
+                        correct_state(x, P, n, state, z - x[state], r, work, rec, k)
                 _write(x, P, n, row, row - row0 if record else -1, out, rec)
                 row += 1 + 0 * digest
             elif kind == FIX:

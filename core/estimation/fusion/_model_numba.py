@@ -44,6 +44,7 @@ from core.estimation.fusion.layout import (
     Q_TILT,
     Q_TURN,
     ROOM,
+    ROW,
     TAU,
     TH,
     UX,
@@ -57,6 +58,7 @@ from core.estimation.fusion.layout import (
     W_KG,
     B,
     F,
+    N,
     S,
     V,
     X,
@@ -64,7 +66,7 @@ from core.estimation.fusion.layout import (
 )  # fmt: skip
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _arc(half: float) -> tuple[float, float]:
     """sin(h)/h, and its derivative by 2 h."""
     if abs(half) < 0.05:
@@ -74,12 +76,12 @@ def _arc(half: float) -> tuple[float, float]:
     return chord, 0.5 * (math.cos(half) - chord) / half
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def wrap(angle: float) -> float:
     return angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def step(
     x: Any, P: Any, n: int, dt: float, raw: float, dv: float, trusted: bool, resting: bool, fading: bool, c: Any, f: Any
 ) -> None:
@@ -134,7 +136,7 @@ def step(
     add_noise(P, n, dt, abs(body), w, ux, uy, x[KB], trusted, resting, f[F], c)
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def spread(P: Any, n: int, gyro: bool, f: Any) -> None:
     """P = F P F', rows first, then columns."""
     ux, uy, dx, dy, px, py = f[UX], f[UY], f[DX], f[DY], f[PX], f[PY]
@@ -142,66 +144,66 @@ def spread(P: Any, n: int, gyro: bool, f: Any) -> None:
     w_b, w_kg, phi_w, phi_d = f[W_B], f[W_KG], f[PHI_W], f[PHI_D]
     if n <= S:
         for j in range(n):
-            turn, move = w_b * P[B, j], cd * P[V, j]
-            P[X, j] += ux * move - dy * P[TH, j] + px * turn
-            P[Y, j] += uy * move + dx * P[TH, j] + py * turn
-            P[TH, j] += turn
-            P[V, j] *= fv
-            P[B, j] *= fb
+            turn, move = w_b * P[B * N + j], cd * P[V * N + j]
+            P[X * N + j] += ux * move - dy * P[TH * N + j] + px * turn
+            P[Y * N + j] += uy * move + dx * P[TH * N + j] + py * turn
+            P[TH * N + j] += turn
+            P[V * N + j] *= fv
+            P[B * N + j] *= fb
         for i in range(n):
-            turn, move = w_b * P[i, B], cd * P[i, V]
-            P[i, X] += ux * move - dy * P[i, TH] + px * turn
-            P[i, Y] += uy * move + dx * P[i, TH] + py * turn
-            P[i, TH] += turn
-            P[i, V] *= fv
-            P[i, B] *= fb
+            turn, move = w_b * P[i * N + B], cd * P[i * N + V]
+            P[i * N + X] += ux * move - dy * P[i * N + TH] + px * turn
+            P[i * N + Y] += uy * move + dx * P[i * N + TH] + py * turn
+            P[i * N + TH] += turn
+            P[i * N + V] *= fv
+            P[i * N + B] *= fb
         return
     if gyro:
         phi_ke, phi_kb = f[PHI_KE], f[PHI_KB]
         for j in range(n):
-            turn, move = w_b * P[B, j] + w_kg * P[KG, j], cd * P[V, j] - hb * P[BA, j]
-            P[X, j] += ux * move - dy * P[TH, j] + px * turn + kx * P[KD, j]
-            P[Y, j] += uy * move + dx * P[TH, j] + py * turn + ky * P[KD, j]
-            P[TH, j] += turn
-            P[V, j] = fv * P[V, j] - cba * P[BA, j]
-            P[S, j] += move
-            P[PHI, j] += phi_w * turn + phi_d * move + phi_kb * P[KB, j] + phi_ke * P[KE, j]
+            turn, move = w_b * P[B * N + j] + w_kg * P[KG * N + j], cd * P[V * N + j] - hb * P[BA * N + j]
+            P[X * N + j] += ux * move - dy * P[TH * N + j] + px * turn + kx * P[KD * N + j]
+            P[Y * N + j] += uy * move + dx * P[TH * N + j] + py * turn + ky * P[KD * N + j]
+            P[TH * N + j] += turn
+            P[V * N + j] = fv * P[V * N + j] - cba * P[BA * N + j]
+            P[S * N + j] += move
+            P[PHI * N + j] += phi_w * turn + phi_d * move + phi_kb * P[KB * N + j] + phi_ke * P[KE * N + j]
         for i in range(MOVING):
-            turn, move = w_b * P[i, B] + w_kg * P[i, KG], cd * P[i, V] - hb * P[i, BA]
-            P[i, X] += ux * move - dy * P[i, TH] + px * turn + kx * P[i, KD]
-            P[i, Y] += uy * move + dx * P[i, TH] + py * turn + ky * P[i, KD]
-            P[i, TH] += turn
-            P[i, V] = fv * P[i, V] - cba * P[i, BA]
-            P[i, S] += move
-            P[i, PHI] += phi_w * turn + phi_d * move + phi_kb * P[i, KB] + phi_ke * P[i, KE]
+            turn, move = w_b * P[i * N + B] + w_kg * P[i * N + KG], cd * P[i * N + V] - hb * P[i * N + BA]
+            P[i * N + X] += ux * move - dy * P[i * N + TH] + px * turn + kx * P[i * N + KD]
+            P[i * N + Y] += uy * move + dx * P[i * N + TH] + py * turn + ky * P[i * N + KD]
+            P[i * N + TH] += turn
+            P[i * N + V] = fv * P[i * N + V] - cba * P[i * N + BA]
+            P[i * N + S] += move
+            P[i * N + PHI] += phi_w * turn + phi_d * move + phi_kb * P[i * N + KB] + phi_ke * P[i * N + KE]
     else:
         w_d, w_ke, w_kb = f[W_D], f[W_KE], f[W_KB]
         for j in range(n):
-            move = cd * P[V, j] - hb * P[BA, j]
-            turn = w_b * P[B, j] + w_d * move + w_ke * P[KE, j] + w_kb * P[KB, j]
-            P[X, j] += ux * move - dy * P[TH, j] + px * turn + kx * P[KD, j]
-            P[Y, j] += uy * move + dx * P[TH, j] + py * turn + ky * P[KD, j]
-            P[TH, j] += turn
-            P[S, j] += move
-            P[PHI, j] += phi_w * P[B, j]
-            P[V, j] = fv * P[V, j] - cba * P[BA, j]
-            P[B, j] *= fb
+            move = cd * P[V * N + j] - hb * P[BA * N + j]
+            turn = w_b * P[B * N + j] + w_d * move + w_ke * P[KE * N + j] + w_kb * P[KB * N + j]
+            P[X * N + j] += ux * move - dy * P[TH * N + j] + px * turn + kx * P[KD * N + j]
+            P[Y * N + j] += uy * move + dx * P[TH * N + j] + py * turn + ky * P[KD * N + j]
+            P[TH * N + j] += turn
+            P[S * N + j] += move
+            P[PHI * N + j] += phi_w * P[B * N + j]
+            P[V * N + j] = fv * P[V * N + j] - cba * P[BA * N + j]
+            P[B * N + j] *= fb
         for i in range(MOVING):
-            move = cd * P[i, V] - hb * P[i, BA]
-            turn = w_b * P[i, B] + w_d * move + w_ke * P[i, KE] + w_kb * P[i, KB]
-            P[i, X] += ux * move - dy * P[i, TH] + px * turn + kx * P[i, KD]
-            P[i, Y] += uy * move + dx * P[i, TH] + py * turn + ky * P[i, KD]
-            P[i, TH] += turn
-            P[i, S] += move
-            P[i, PHI] += phi_w * P[i, B]
-            P[i, V] = fv * P[i, V] - cba * P[i, BA]
-            P[i, B] *= fb
+            move = cd * P[i * N + V] - hb * P[i * N + BA]
+            turn = w_b * P[i * N + B] + w_d * move + w_ke * P[i * N + KE] + w_kb * P[i * N + KB]
+            P[i * N + X] += ux * move - dy * P[i * N + TH] + px * turn + kx * P[i * N + KD]
+            P[i * N + Y] += uy * move + dx * P[i * N + TH] + py * turn + ky * P[i * N + KD]
+            P[i * N + TH] += turn
+            P[i * N + S] += move
+            P[i * N + PHI] += phi_w * P[i * N + B]
+            P[i * N + V] = fv * P[i * N + V] - cba * P[i * N + BA]
+            P[i * N + B] *= fb
     for i in range(MOVING, n):  # the rest by symmetry
         for j in range(MOVING):
-            P[i, j] = P[j, i]
+            P[i * N + j] = P[j * N + i]
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _wander(dt: float, f: float, tau: float) -> tuple[float, float, float]:
     """Variances, per unit density, of a speed after dt, of speed with distance, and of distance (Van Loan)."""
     if f == 1.0:
@@ -210,7 +212,7 @@ def _wander(dt: float, f: float, tau: float) -> tuple[float, float, float]:
     return k * (1.0 - f * f), k * tau * (1.0 - f) ** 2, k * tau * max(2.0 * dt - tau * (3.0 - 4.0 * f + f * f), 0.0)
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def add_noise(
     P: Any, n: int, dt: float, along: float, w: float, ux: float, uy: float, kb: float, trusted: bool, resting: bool,
     f: float, c: Any,
@@ -218,114 +220,115 @@ def add_noise(
     """Process noise of one step: speed, turn, slip along and across, slow parameters."""
     q_v, q_dv, q_d = _wander(dt, f, c[TAU])
     q = c[Q_ACCEL] if trusted else c[Q_SPEED]
-    P[V, V] += q * q_v
+    P[V * N + V] += q * q_v
     add3(P, X, Y, S, ux, uy, 1.0 if n > S else 0.0, q * q_d)
     for i, e in ((X, ux), (Y, uy), (S, 1.0)):
         if i < n:
-            P[i, V] += e * q * q_dv
-            P[V, i] += e * q * q_dv
+            P[i * N + V] += e * q * q_dv
+            P[V * N + i] += e * q * q_dv
     add3(P, X, Y, S, -uy, ux, 0.0, c[Q_SIDE] * along)
     add3(P, X, Y, S, ux, uy, 0.0, 0.5 * c[Q_SLIP] * along)  # v is the wheels' speed: it is the body that slips
     if c[Q_SKID] > 0.0:
         q = c[Q_SKID] * w * w / dt
-        P[X, X] += q
-        P[Y, Y] += q
+        P[X * N + X] += q
+        P[Y * N + Y] += q
     slip_turn = 2.0 * c[Q_SLIP] * c[INVERSE_TRACK] * (along * c[INVERSE_TRACK] + 0.5 * abs(w))
     if c[HAS_GYRO] != 0.0:
-        P[B, B] += c[Q_BIAS] * dt
+        P[B * N + B] += c[Q_BIAS] * dt
         q_turn = 0.0 if resting else c[Q_GYRO] * dt
         if n > S:
-            P[PHI, PHI] += slip_turn  # the gyro has the body's turn: it is the wheels that slip
+            P[PHI * N + PHI] += slip_turn  # the gyro has the body's turn: it is the wheels that slip
             add3(P, TH, PHI, PHI, 1.0, 1.0 + kb, 0.0, q_turn)
         else:
-            P[TH, TH] += q_turn
+            P[TH * N + TH] += q_turn
     else:
-        P[B, B] += c[Q_TURN] * q_v
-        P[TH, TH] += slip_turn
+        P[B * N + B] += c[Q_TURN] * q_v
+        P[TH * N + TH] += slip_turn
         gain = 1.0 - kb
         for i, e in ((TH, gain), (PHI, 1.0)):
-            P[i, B] -= e * c[Q_TURN] * q_dv
-            P[B, i] -= e * c[Q_TURN] * q_dv
+            P[i * N + B] -= e * c[Q_TURN] * q_dv
+            P[B * N + i] -= e * c[Q_TURN] * q_dv
         add3(P, TH, PHI, PHI, gain, 1.0, 0.0, c[Q_TURN] * q_d)
     for i in range(KD, min(n, BR + 1)):
-        if P[i, i] > 0.0:  # a parameter with no variance is frozen
-            P[i, i] += (c[Q_TILT] if i == BA else c[Q_SCALE]) * dt
+        if P[i * N + i] > 0.0:  # a parameter with no variance is frozen
+            P[i * N + i] += (c[Q_TILT] if i == BA else c[Q_SCALE]) * dt
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def add3(P: Any, i: int, j: int, k: int, a: float, b: float, e: float, q: float) -> None:
     """P += q g g' for g with a, b, e at i, j, k; k may equal j where e is 0."""
-    P[i, i] += q * a * a
-    P[j, j] += q * b * b
-    P[i, j] += q * a * b
-    P[j, i] += q * a * b
+    P[i * N + i] += q * a * a
+    P[j * N + j] += q * b * b
+    P[i * N + j] += q * a * b
+    P[j * N + i] += q * a * b
     if e != 0.0:
-        P[k, k] += q * e * e
-        P[i, k] += q * a * e
-        P[k, i] += q * a * e
-        P[j, k] += q * b * e
-        P[k, j] += q * b * e
+        P[k * N + k] += q * e * e
+        P[i * N + k] += q * a * e
+        P[k * N + i] += q * a * e
+        P[j * N + k] += q * b * e
+        P[k * N + j] += q * b * e
 
 
 @njit(error_model="numpy")
 def anchor(P: Any, n: int, k: int, r: float) -> None:
     """Forget what was expected of state k: it is known to r, and related to nothing."""
     for i in range(n):
-        P[i, k] = 0.0
-        P[k, i] = 0.0
-    P[k, k] = r
+        P[i * N + k] = 0.0
+        P[k * N + i] = 0.0
+    P[k * N + k] = r
 
 
-@njit(error_model="numpy")
-def covariance_with(P: Any, n: int, which: Any, value: Any, g: Any) -> float:
-    """g (n,) = P h for the sparse row h (value at which[:ROOM], which[ROOM] of them); returns h' P h."""
+@njit(error_model="numpy", forceinline=True)
+def covariance_with(P: Any, n: int, work: Any, index: Any, row: int, to: int) -> float:
+    """work[to] = P h for the sparse row h of a reading: values work[ROW + row] at states index[row]; returns h' P h."""
+    k, a = index[row, 0], work[ROW + row, 0]
     for i in range(n):
-        g[i] = value[0] * P[which[0], i]
-    for m in range(1, which[ROOM]):
-        k, a = which[m], value[m]
+        work[to, i] = a * P[k * N + i]
+    for m in range(1, index[row, ROOM]):
+        k, a = index[row, m], work[ROW + row, m]
         for i in range(n):
-            g[i] += a * P[k, i]
+            work[to, i] += a * P[k * N + i]
     total = 0.0
-    for m in range(which[ROOM]):
-        total += value[m] * g[which[m]]
+    for m in range(index[row, ROOM]):
+        total += work[ROW + row, m] * work[to, index[row, m]]
     return total
 
 
-@njit(error_model="numpy")
-def correct(x: Any, P: Any, n: int, g: Any, nu: float, variance: float) -> None:
-    """Update by one scalar reading: g = P h, innovation nu and its variance."""
+@njit(error_model="numpy", forceinline=True)
+def correct(x: Any, P: Any, n: int, work: Any, row: int, nu: float, variance: float) -> None:
+    """Update by one scalar reading: work[row] = P h, innovation nu and its variance."""
     inverse = 1.0 / variance
     for i in range(n):
-        gain = g[i] * inverse
+        gain = work[row, i] * inverse
         x[i] += gain * nu
         for j in range(n):
-            P[i, j] -= gain * g[j]
-        P[i, i] = max(P[i, i], 0.0)
+            P[i * N + j] -= gain * work[row, j]
+        P[i * N + i] = max(P[i * N + i], 0.0)
 
 
 @njit(error_model="numpy")
-def correct_state(x: Any, P: Any, n: int, k: int, nu: float, r: float, g: Any, rec: Any, event: int) -> None:
+def correct_state(x: Any, P: Any, n: int, k: int, nu: float, r: float, work: Any, rec: Any, event: int) -> None:
     """Update by a reading of state k itself; its covariances are computed without a difference that would cancel.
     Recorded, unless event < 0."""
     for i in range(n):
-        g[i] = P[k, i]
-    variance = g[k] + r
+        work[0, i] = P[k * N + i]
+    variance = work[0, k] + r
     if event >= 0:
         u = rec.marks[event + 1, 0]
         rec.which[u, 0], rec.which[u, ROOM], rec.corrections[u, VALUES] = k, 1, 1.0
-        keep(rec, event, g, n, nu, variance)
-    correct(x, P, n, g, nu, variance)
+        keep(rec, event, work, 0, n, nu, variance)
+    correct(x, P, n, work, 0, nu, variance)
     ratio = r / variance
     for i in range(n):
-        P[i, k] = g[i] * ratio
-        P[k, i] = P[i, k]
+        P[i * N + k] = work[0, i] * ratio
+        P[k * N + i] = P[i * N + k]
 
 
 @njit(error_model="numpy")
-def keep(rec: Any, event: int, g: Any, n: int, nu: float, variance: float) -> None:
+def keep(rec: Any, event: int, work: Any, row: int, n: int, nu: float, variance: float) -> None:
     """Record a correction whose row is written already."""
     u = rec.marks[event + 1, 0]
     for i in range(n):
-        rec.corrections[u, i] = g[i]
+        rec.corrections[u, i] = work[row, i]
     rec.corrections[u, NU], rec.corrections[u, VARIANCE] = nu, variance
     rec.marks[event + 1, 0] = u + 1

@@ -61,39 +61,36 @@ from core.estimation.fusion.layout import (
 )  # fmt: skip
 
 
-@njit(error_model="numpy")
-def _back(z: Any, rows: int, f: Any, gyro: bool, wheels: bool) -> None:
-    """Rows of z times F: the adjoint of `_model_numba.spread`."""
-    for i in range(rows):
-        _back_row(z[i], f, gyro, wheels)
+@njit(error_model="numpy", forceinline=True)
+def _back(z: Any, stride: int, step: int, count: int, f: Any, gyro: bool, wheels: bool) -> None:
+    """z = F' z, the adjoint of `_model_numba.spread`, for `count` columns: state k of column j is z[k stride + j step]."""
+    for j in range(count):
+        o = j * step
+        x, y, th, s = z[X * stride + o], z[Y * stride + o], z[TH * stride + o], z[S * stride + o]
+        phi, v, b = z[PHI * stride + o], z[V * stride + o], z[B * stride + o]
+        turn = th + f[PX] * x + f[PY] * y
+        move = f[UX] * x + f[UY] * y + s
+        rate = f[FB] * b
+        if wheels:
+            if gyro:
+                turn += f[PHI_W] * phi
+                move += f[PHI_D] * phi
+                z[KB * stride + o] += f[PHI_KB] * phi
+                z[KE * stride + o] += f[PHI_KE] * phi
+                z[KG * stride + o] += f[W_KG] * turn
+            else:
+                move += f[W_D] * turn
+                rate += f[PHI_W] * phi
+                z[KB * stride + o] += f[W_KB] * turn
+                z[KE * stride + o] += f[W_KE] * turn
+            z[KD * stride + o] += f[KX] * x + f[KY] * y
+            z[BA * stride + o] -= f[HB] * move + f[CBA] * v
+        z[TH * stride + o] = th + f[DX] * y - f[DY] * x
+        z[V * stride + o] = f[F] * v + f[CD] * move
+        z[B * stride + o] = rate + f[W_B] * turn
 
 
-@njit(error_model="numpy")
-def _back_row(z: Any, f: Any, gyro: bool, wheels: bool) -> None:
-    x, y, th, s, phi, v, b = z[X], z[Y], z[TH], z[S], z[PHI], z[V], z[B]
-    turn = th + f[PX] * x + f[PY] * y
-    move = f[UX] * x + f[UY] * y + s
-    if wheels:
-        if gyro:
-            turn += f[PHI_W] * phi
-            move += f[PHI_D] * phi
-            z[KB] += f[PHI_KB] * phi
-            z[KE] += f[PHI_KE] * phi
-        else:
-            move += f[W_D] * turn
-            z[KB] += f[W_KB] * turn
-            z[KE] += f[W_KE] * turn
-        z[KG] += f[W_KG] * turn
-        z[KD] += f[KX] * x + f[KY] * y
-        z[BA] -= f[HB] * move + f[CBA] * v
-    z[TH] += f[DX] * y - f[DY] * x
-    z[V] = f[F] * v + f[CD] * move
-    z[B] = f[FB] * b + f[W_B] * turn
-    if wheels and not gyro:
-        z[B] += f[PHI_W] * phi
-
-
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _uncorrect(lam: Any, L: Any, n: int, which: Any, told: Any, m: Any) -> None:
     """Back through a correction: with K = gain / variance, (I - K h')' on both sides, and the reading's own word."""
     inverse = 1.0 / told[VARIANCE]
@@ -104,7 +101,7 @@ def _uncorrect(lam: Any, L: Any, n: int, which: Any, told: Any, m: Any) -> None:
         gain = told[j] * inverse
         along += told[j] * lam[j]
         for i in range(n):
-            m[i] += L[j, i] * gain
+            m[i] += L[j * N + i] * gain
     for i in range(n):
         both += told[i] * m[i]
     both = (both + 1.0) * inverse
@@ -113,38 +110,44 @@ def _uncorrect(lam: Any, L: Any, n: int, which: Any, told: Any, m: Any) -> None:
         k, a = which[p], told[VALUES + p]
         lam[k] -= a * along
         for j in range(n):
-            L[k, j] -= a * m[j]
+            L[k * N + j] -= a * m[j]
     for p in range(which[ROOM]):
         k, a = which[p], told[VALUES + p]
         for j in range(n):
-            L[j, k] -= a * m[j]
+            L[j * N + k] -= a * m[j]
         for q in range(which[ROOM]):
-            L[k, which[q]] += a * told[VALUES + q] * both
+            L[k * N + which[q]] += a * told[VALUES + q] * both
 
 
 @njit(error_model="numpy")
 def _smooth_row(lam: Any, L: Any, n: int, P: Any, row: int, out: Any, work: Any) -> None:
     """Filtered pose, bias and covariances of a row become smoothed ones; P (4, n) of x, y, theta, b."""
-    for a in range(4):
-        shift = 0.0
+    for i in range(4 * N):
+        work[i] = 0.0
+    for j in range(n):
+        p0, p1, p2, p3 = P[0, j], P[1, j], P[2, j], P[3, j]
+        out.rows[row, 0] -= p0 * lam[j]
+        out.rows[row, 1] -= p1 * lam[j]
+        out.rows[row, 2] -= p2 * lam[j]
+        out.rows[row, 3] -= p3 * lam[j]
         for i in range(n):
-            shift += P[a, i] * lam[i]
-            work[i] = 0.0
-        out.rows[row, a] -= shift
-        for j in range(n):
-            for i in range(n):
-                work[i] += L[j, i] * P[a, j]
+            a = L[j * N + i]
+            work[i] += a * p0
+            work[N + i] += a * p1
+            work[2 * N + i] += a * p2
+            work[3 * N + i] += a * p3
+    for a in range(3):
         for b in range(a + 1):
             less = 0.0
             for i in range(n):
-                less += P[b, i] * work[i]
-            if a < 3:
-                out.covariance[row, a, b] -= less
-                out.covariance[row, b, a] = out.covariance[row, a, b]
-            elif b == 3:
-                out.rows[row, 4] = max(out.rows[row, 4] - less, 0.0)
-        if a < 3:
-            out.covariance[row, a, a] = max(out.covariance[row, a, a], 0.0)
+                less += P[b, i] * work[a * N + i]
+            out.covariance[row, a, b] -= less
+            out.covariance[row, b, a] = out.covariance[row, a, b]
+        out.covariance[row, a, a] = max(out.covariance[row, a, a], 0.0)
+    less = 0.0
+    for i in range(n):
+        less += P[3, i] * work[3 * N + i]
+    out.rows[row, 4] = max(out.rows[row, 4] - less, 0.0)
 
 
 @njit(error_model="numpy")
@@ -154,8 +157,8 @@ def _forget(lam: Any, L: Any, n: int, bits: int) -> None:
         if bits & (1 << i):
             lam[i] = 0.0
             for j in range(n):
-                L[i, j] = 0.0
-                L[j, i] = 0.0
+                L[i * N + j] = 0.0
+                L[j * N + i] = 0.0
 
 
 @njit(error_model="numpy")
@@ -163,20 +166,22 @@ def _fade(lam: Any, L: Any, n: int, first: int, fade: float) -> None:
     for i in range(first, n):
         lam[i] *= fade
         for j in range(n):
-            L[i, j] *= fade
+            L[i * N + j] *= fade
         for j in range(n):
-            L[j, i] *= fade
+            L[j * N + i] *= fade
 
 
 @njit(error_model="numpy")
 def _unstep(lam: Any, L: Any, n: int, f: Any, gyro: bool) -> None:
     """Back through a step: F' lambda and F' L F."""
-    _back(lam, 1, f, gyro, n > S)
-    _back(L, n, f, gyro, n > S)
-    for i in range(n):
-        for j in range(i):
-            L[i, j], L[j, i] = L[j, i], L[i, j]
-    _back(L, n, f, gyro, n > S)
+    _back(lam, 1, 0, 1, f, gyro, n > S)
+    _back(L, N, 1, n, f, gyro, n > S)
+    for i in (TH, V, B, KD, KE, KB, KG, BA):  # other states' columns are as they were, and follow by symmetry
+        if i < n:
+            _back(L[i * N : i * N + N], 1, 0, 1, f, gyro, n > S)
+    for i in (TH, V, B, KD, KE, KB, KG, BA):
+        for j in range(n):
+            L[j * N + i] = L[i * N + j]
 
 
 def _entry_point(digest: int) -> Callable[..., None]:
@@ -184,21 +189,21 @@ def _entry_point(digest: int) -> Callable[..., None]:
 
     @njit(cache=True, nogil=True, error_model="numpy")
     def walk_back(
-        begin: int, end: int, row: int, row0: int, kind: Any, lam: Any, L: Any, n: int, gyro: bool, offsets: int,
+        begin: int, end: int, row: int, row0: int, kind: Any, lam: Any, square: Any, n: int, gyro: bool, offsets: int,
         rec: Any, out: Any,
     ) -> None:  # fmt: skip
-        work = np.zeros(N)
+        work, L = np.zeros(4 * N), square.reshape(N * N)
         for e in range(end - 1, begin - 1, -1):
             k = e - begin
             if kind[e] == OUT:
                 row -= 1 + 0 * digest
-                _smooth_row(lam[0], L, n, rec.rows[row - row0], row, out, work)
+                _smooth_row(lam, L, n, rec.rows[row - row0], row, out, work)
             for u in range(rec.marks[k + 1, 0] - 1, rec.marks[k, 0] - 1, -1):
-                _uncorrect(lam[0], L, n, rec.which[u], rec.corrections[u], work)
+                _uncorrect(lam, L, n, rec.which[u], rec.corrections[u], work)
             if rec.marks[k, 1]:
-                _forget(lam[0], L, n, rec.marks[k, 1])
+                _forget(lam, L, n, rec.marks[k, 1])
             if rec.parts[k, PARTS] != 1.0:
-                _fade(lam[0], L, n, offsets, rec.parts[k, PARTS])
+                _fade(lam, L, n, offsets, rec.parts[k, PARTS])
             if not math.isnan(rec.parts[k, 0]):
                 _unstep(lam, L, n, rec.parts[k], gyro)
 
@@ -207,5 +212,5 @@ def _entry_point(digest: int) -> Callable[..., None]:
 
 _DIGEST = zlib.crc32(Path(__file__).with_name("layout.py").read_bytes()) | 1
 walk_back = _entry_point(_DIGEST)
-"""walk_back(begin, end, row, row0, kind, lam (1, N), L (N, N), n, gyro, offsets, rec, out): from event `end` back to
+"""walk_back(begin, end, row, row0, kind, lam (N,), L (N, N), n, gyro, offsets, rec, out): from event `end` back to
 `begin`; `row` is one past the last row of the stretch, `row0` its first."""

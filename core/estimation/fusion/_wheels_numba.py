@@ -41,6 +41,7 @@ from core.estimation.fusion.layout import (
     WASH_WHEELS,
     WHEEL_SPEED,
     B,
+    N,
     S,
     V,
     X,
@@ -53,12 +54,12 @@ OWN_SLIP, SLIP_MEMORY = 0.5, 0.3  # the slower wheel's own slip, of its speed; s
 STOOD, STOP_TIME = 4e-4, 0.4  # m^2/s^2, of the speed of a body that stands; s in which that must show
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _loose(P: Any, left: bool, right: bool, c: Any) -> None:
     """Doubt what a wheel should read: left is s - phi/(2 ib), right s + phi/(2 ib), of ib one over the track width."""
     ib = c[INVERSE_TRACK]
     if ib == 0.0:
-        P[S, S] += ANYWHERE
+        P[S * N + S] += ANYWHERE
         return
     if left:
         add3(P, S, PHI, PHI, 0.5, -ib, 0.0, ANYWHERE)
@@ -71,17 +72,20 @@ def _surge(x: Any, P: Any, nu: float, since: float) -> None:
     """A surprise of the distance that is a manoeuvre: the speed is doubted, and what it has brought since."""
     q, cos, sin, rate = nu * nu, math.cos(x[TH]), math.sin(x[TH]), 1.0 / max(since, 1e-3)
     add3(P, X, Y, S, cos, sin, 1.0, q)
-    P[V, V] += q * rate * rate
+    P[V * N + V] += q * rate * rate
     for i, e in ((X, cos), (Y, sin), (S, 1.0)):
-        P[i, V] += q * e * rate
-        P[V, i] += q * e * rate
+        P[i * N + V] += q * e * rate
+        P[V * N + i] += q * e * rate
 
 
 @njit(error_model="numpy")
 def _judge(t: float, nu: float, nu_turn: float, x: Any, P: Any, since: float, mem: Any, c: Any) -> None:
     """Both readings together are a surprise beside a gyro: which wheel slips, or is it a manoeuvre?"""
     half = 0.5 / c[INVERSE_TRACK]
-    spread, cross = P[S, S] + c[R_DISTANCE] + half * half * (P[PHI, PHI] + c[R_TURN]), 2.0 * half * P[S, PHI]
+    spread, cross = (
+        P[S * N + S] + c[R_DISTANCE] + half * half * (P[PHI * N + PHI] + c[R_TURN]),
+        2.0 * half * P[S * N + PHI],
+    )
     left, right = nu - half * nu_turn, nu + half * nu_turn
     left_bad = left * left > c[GATE1] * max(spread - cross, 1e-18)
     right_bad = right * right > c[GATE1] * max(spread + cross, 1e-18)
@@ -93,14 +97,14 @@ def _judge(t: float, nu: float, nu_turn: float, x: Any, P: Any, since: float, me
     elif c[HAS_ACCEL] != 0.0 and alone and left_bad:
         mem[SLIP_LEFT], mem[SLIP_RIGHT] = t + 0.1, t + 0.1
     else:
-        if nu_turn * nu_turn > c[GATE1] * (P[PHI, PHI] + c[R_TURN]):
+        if nu_turn * nu_turn > c[GATE1] * (P[PHI * N + PHI] + c[R_TURN]):
             mem[SLIP_TURN] = t + SLIP_TIME
-        if nu * nu > c[GATE1] * (P[S, S] + c[R_DISTANCE]):
+        if nu * nu > c[GATE1] * (P[S * N + S] + c[R_DISTANCE]):
             _surge(x, P, nu, since)
     mem[T_STRANGE] = t
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _stands(t: float, flags: int, mem: Any, c: Any) -> bool:
     """Whether a body that is said to stand does: steady driving looks like a standstill to an IMU, so the accelerometer
     must have felt how the wheels' speed was lost, at about the time of which it is said."""
@@ -119,25 +123,27 @@ def _stands(t: float, flags: int, mem: Any, c: Any) -> bool:
 def _test(t: float, nu: float, nu_turn: float, turning: bool, x: Any, P: Any, since: float, mem: Any, c: Any) -> None:
     """Are the readings a surprise?"""
     if turning and c[HAS_GYRO] != 0.0:
-        s00, s11, s01 = P[S, S] + c[R_DISTANCE], P[PHI, PHI] + c[R_TURN], P[S, PHI]
+        s00, s11, s01 = P[S * N + S] + c[R_DISTANCE], P[PHI * N + PHI] + c[R_TURN], P[S * N + PHI]
         both = (nu * nu * s11 - 2.0 * nu * nu_turn * s01 + nu_turn * nu_turn * s00) / max(s00 * s11 - s01 * s01, 1e-30)
         if both > c[GATE2]:
             _judge(t, nu, nu_turn, x, P, since, mem, c)
         return
-    if nu * nu > c[GATE1] * (P[S, S] + c[R_DISTANCE]):
+    if nu * nu > c[GATE1] * (P[S * N + S] + c[R_DISTANCE]):
         _surge(x, P, nu, since)
-    if turning and nu_turn * nu_turn > c[GATE1] * (P[PHI, PHI] + c[R_TURN]):
+    if turning and nu_turn * nu_turn > c[GATE1] * (P[PHI * N + PHI] + c[R_TURN]):
         add3(P, TH, PHI, B, 1.0, 1.0, -1.0 / max(since, 1e-3), nu_turn * nu_turn)
 
 
 @njit(error_model="numpy")
-def _slower(d: float, nu_turn: float, since: float, x: Any, P: Any, n: int, c: Any, g: Any, rec: Any, k: int) -> None:
+def _slower(
+    d: float, nu_turn: float, since: float, x: Any, P: Any, n: int, c: Any, work: Any, rec: Any, k: int
+) -> None:
     """Wheels that contradict the gyro's turn, and nobody knows which: a driven wheel that slips runs ahead, so the speed
     is near that of the slower one, which may slip as well."""
     more = abs(0.5 / c[INVERSE_TRACK] * nu_turn)
     slow = math.copysign(max(abs(d) - more, 0.0), d) / since
     sd = OWN_SLIP * max(abs(slow), more / since) + 0.02
-    correct_state(x, P, n, V, slow - x[V], sd * sd * max(SLIP_MEMORY / since, 1.0), g, rec, k)
+    correct_state(x, P, n, V, slow - x[V], sd * sd * max(SLIP_MEMORY / since, 1.0), work, rec, k)
 
 
 @njit(error_model="numpy")
@@ -151,7 +157,19 @@ def _begin(t: float, a: Any, turning: bool, x: Any, P: Any, n: int, c: Any) -> N
 
 @njit(error_model="numpy")
 def wheels(
-    t: float, a: Any, flags: int, x: Any, P: Any, n: int, mem: Any, c: Any, g: Any, out: Any, e: int, rec: Any, k: int
+    t: float,
+    a: Any,
+    flags: int,
+    x: Any,
+    P: Any,
+    n: int,
+    mem: Any,
+    c: Any,
+    work: Any,
+    out: Any,
+    e: int,
+    rec: Any,
+    k: int,
 ) -> None:
     """Both wheels' readings: tested together, then taken one after the other; what is not to be believed is doubted
     first, so that it says nothing."""
@@ -166,10 +184,10 @@ def wheels(
         mem[T_TRUST] = t
     else:
         nu = a[0] - x[S]
-        out.nis[e, 0] = nu * nu / (P[S, S] + c[R_DISTANCE])
+        out.nis[e, 0] = nu * nu / (P[S * N + S] + c[R_DISTANCE])
         if turning:
             nu_turn = a[1] - x[PHI]
-            out.nis[e, 1] = nu_turn * nu_turn / (P[PHI, PHI] + c[R_TURN])
+            out.nis[e, 1] = nu_turn * nu_turn / (P[PHI * N + PHI] + c[R_TURN])
         stands = _stands(t, flags, mem, c)
         said = flags & (LEFT | RIGHT | TURN) != 0 and (
             stands or flags & STOPPED == 0 or t - mem[STOP_SINCE] < STOP_TIME
@@ -188,13 +206,13 @@ def wheels(
     out.status[e, 0] = REJECTED if left or right or turn else (NONE if first else ACCEPTED)
     if turning:
         out.status[e, 1] = out.status[e, 0]
-    correct_state(x, P, n, S, a[0] - x[S], c[R_DISTANCE], g, rec, k)
+    correct_state(x, P, n, S, a[0] - x[S], c[R_DISTANCE], work, rec, k)
     if turning:
-        correct_state(x, P, n, PHI, a[1] - x[PHI], c[R_TURN], g, rec, k)
+        correct_state(x, P, n, PHI, a[1] - x[PHI], c[R_TURN], work, rec, k)
     if turn:
-        _slower(a[0] - mem[DISTANCE], nu_turn, max(since, 1e-3), x, P, n, c, g, rec, k)
+        _slower(a[0] - mem[DISTANCE], nu_turn, max(since, 1e-3), x, P, n, c, work, rec, k)
     elif stands:
-        correct_state(x, P, n, V, -x[V], STOOD, g, rec, k)
+        correct_state(x, P, n, V, -x[V], STOOD, work, rec, k)
     speed = (a[0] - mem[DISTANCE]) / max(since, 1e-3) if not first and flags & JUMP == 0 else mem[WHEEL_SPEED]
     mem[WASH_WHEELS] += speed - mem[WHEEL_SPEED]
     mem[T_WHEEL], mem[DISTANCE], mem[WHEEL_SPEED] = t, a[0], speed

@@ -72,7 +72,7 @@ def prepare(run: Run, config: Config | None = None) -> Prepared:
     events = start.without_used(events)
 
     def trial(e: Events, n: Assumptions) -> Walk:
-        return walk(problem(run, e, start, n, rest), e)
+        return walk(problem(run, e, start, n, rest), e, disturbances)
 
     numbers, learnt = learn(run, events, numbers, config or {}, trial)
     notes = (*wrong, *start.notes, *trusted, *learnt, *notes, *events.notes)

@@ -128,6 +128,7 @@ class Records(NamedTuple):
     rows: Any
 
 
+INNOVATION, NOISE, ROW = 3, 4, 5  # rows of the scratch array (8, N); the first three are P h of each reading
 ROOM = 8  # most states that one reading is about
 VALUES, NU, VARIANCE = N, N + ROOM, N + ROOM + 1  # columns of corrections
 

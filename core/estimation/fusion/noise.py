@@ -22,10 +22,10 @@ from core.run import Run
 Array = npt.NDArray[np.float64]
 
 ENOUGH = 50  # readings to learn from
-LEADING = 100_000  # events that are looked at
+LEADING = 60_000  # events that are looked at
 PASSES = 4  # for the sd of fixes and ranges
-SLIP_STEP, SLIP_STEPS = 2.0, 3  # levels of slip are this far apart, this many each way
-CLEARLY = 2.0  # log likelihood that a change must gain
+TYPICAL_SLIP, SLIP_SPREAD = 4e-3, 1.0  # m/sqrt(m), of tyres on a floor; sd of its logarithm
+SLIP_STEP, SLIP_STEPS = 2.0, 5  # levels of slip are this far apart, this many each way at most
 IMPOSSIBLE = 4.0  # sd from the stated track width
 CONTRADICTED = 0.3  # share of the time that wheels and gyro may disagree about turning
 SKID, SKID_SCALE = 0.6, 0.2  # m, relative: what wheels that skid do to the distance
@@ -116,19 +116,25 @@ def _factor(events: Events, walked: Walk, kind: int) -> float:
 
 
 def _slip(events: Events, numbers: Assumptions, walk: Walker) -> tuple[Assumptions, tuple[str, ...]]:
-    """Climb from the assumed slip, up or down by SLIP_STEP, while the innovations become clearly more likely."""
-    best, likelihood = numbers, _log_likelihood(events, walk(events, numbers))
-    for step in (SLIP_STEP, 1 / SLIP_STEP):
-        for _ in range(SLIP_STEPS):
-            tried = dataclasses.replace(best, slip=best.slip * step, side_slip=best.side_slip * step)
-            value = _log_likelihood(events, walk(events, tried))
-            if value < likelihood + CLEARLY:
+    """Climb from the typical slip, up or down by SLIP_STEP, while it becomes more likely: by the innovations of fixes and
+    ranges, and by what wheels on a floor usually do (SLIP_SPREAD, a factor of e in one sigma)."""
+    across = numbers.side_slip / max(numbers.slip, 1e-9)
+
+    def at(k: int) -> tuple[Assumptions, float]:
+        slip = TYPICAL_SLIP * SLIP_STEP**k
+        tried = dataclasses.replace(numbers, slip=slip, side_slip=across * slip)
+        usual = (k * np.log(SLIP_STEP) / SLIP_SPREAD) ** 2
+        return tried, _log_likelihood(events, walk(events, tried)) - 0.5 * float(usual)
+
+    best, likelihood = at(0)
+    for way in (1, -1):
+        for k in range(1, SLIP_STEPS + 1):
+            tried, value = at(way * k)
+            if not value > likelihood:
                 break
             best, likelihood = tried, value
-        if best is not numbers:
+        if best.slip > TYPICAL_SLIP:
             break
-    if best is numbers:
-        return numbers, ()
     return best, (
         f"Slip learnt from this run: {best.slip:.2g} m after one metre (assumed at first: {numbers.slip:.2g}).",
     )

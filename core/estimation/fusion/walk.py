@@ -294,7 +294,7 @@ def smooth(p: Problem, events: Events, disturbances: Disturbances | None = None)
         saved.append(state.copy())
         p.step(events, cut, min(cut + STRETCH, end), state, out)
     forward = _walked(out._replace(rows=out.rows.copy(), covariance=out.covariance.copy()), state)
-    lam, L, gyro = np.zeros((1, N)), np.zeros((N, N)), bool(p.constants[HAS_GYRO])
+    lam, L, gyro = np.zeros(N), np.zeros((N, N)), bool(p.constants[HAS_GYRO])
     rec = records(STRETCH, STRETCH)
     for cut, begun in zip(cuts[::-1], saved[::-1], strict=True):
         last, first_row = min(cut + STRETCH, end), begun.row
