@@ -16,9 +16,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from core.imu.bias import FilterConfig, heading_errors, known_rests, track_bias
 from core.imu.bias.result import BiasEstimate
-from tests.plants.gyro import DEG, DEG_H, SCENARIOS, GyroPlant, gyro_plant
+from tests.plants.gyro import DEG, DEG_H, SCENARIOS, VARIATIONS, GyroPlant, gyro_plant
 
 ALL = ("A", "B", "C", "best", "smoothed", "known", "known, hindsight")
+HOUR = 3600.0
 WARM_UP = 600.0  # s, before which no bias is judged
 
 
@@ -39,6 +40,11 @@ def judge(plant: GyroPlant, method: str) -> dict[str, float]:
     out["minutes"] = float(np.append(errors.t[np.abs(errors.error) > 20 * DEG], np.inf)[0] / 60)
     if made.theta_sd is not None:
         out["z"] = float(errors.error[-1] / np.interp(errors.t[-1], made.t, made.theta_sd))
+        hours = np.arange(0.0, errors.t[-1] - errors.t[0], HOUR) + errors.t[0]
+        grown = np.diff(np.interp(hours, errors.t, errors.error))
+        out["z_hour"] = float(
+            np.sqrt(np.mean(grown**2) * (len(hours) - 1)) / np.interp(hours[-1], made.t, made.theta_sd)
+        )
         late = made.t > WARM_UP
         true = np.interp(made.t[late], plant.t, plant.bias)
         out["z_bias"] = float(np.sqrt(np.mean(((true - made.bias[late]) / made.sd[late]) ** 2)))
@@ -51,15 +57,17 @@ def main() -> None:
     options.add_argument("--first", type=int, default=100)
     options.add_argument("--rate", type=float, default=48.0)
     options.add_argument("--methods", default="best,smoothed,known")
-    options.add_argument("--only", help="scenarios, by a part of their names")
+    options.add_argument("--only", help="scenarios, by a part of their names, or several with ; between")
     chosen = options.parse_args()
     print(
-        "max [deg], net [deg/h]: median / worst of seeds; hourly [deg/h]: worst; 20 deg are passed at [min]; z: final"
+        "max [deg], net [deg/h]: median / worst of seeds; hourly [deg/h]: worst; 20 deg are passed at [min]; z, root"
     )
-    print("heading error over claimed sd, bias error over claimed sd, root mean squares")
-    print("scenario               method                      max             net  hourly   20 deg       z z bias")
-    for name, scenario in SCENARIOS.items():
-        if chosen.only and chosen.only not in name:
+    print("mean squares over claimed sd: the final heading error, its growth by the hour, and the bias error")
+    print(
+        "scenario               method                      max             net  hourly   20 deg       z z hour z bias"
+    )
+    for name, scenario in (SCENARIOS | VARIATIONS).items():
+        if chosen.only and not any(part in name for part in chosen.only.split(";")):
             continue
         rows: dict[str, list[dict[str, float]]] = {}
         for seed in range(chosen.first, chosen.first + chosen.seeds):
@@ -69,11 +77,14 @@ def main() -> None:
                     rows.setdefault(method, []).append(judge(plant, method))
         for method, found in rows.items():
             column = {key: np.array([row[key] for row in found]) for key in found[0]}
-            z = [f"{np.sqrt(np.mean(column[k] ** 2)):6.2f}" if k in column else "     -" for k in ("z", "z_bias")]
+            z = [
+                f"{np.sqrt(np.mean(column[k] ** 2)):6.2f}" if k in column else "     -"
+                for k in ("z", "z_hour", "z_bias")
+            ]
             print(
                 f"{name:22} {method:17} {np.median(column['max']):7.2f} /{column['max'].max():6.2f} "
                 f"{np.median(column['net']):7.3f} /{column['net'].max():6.3f} {column['hourly'].max():7.2f} "
-                f"{np.median(column['minutes']):8.0f} {z[0]} {z[1]}",
+                f"{np.median(column['minutes']):8.0f} {z[0]} {z[1]} {z[2]}",
                 flush=True,
             )
 

@@ -24,12 +24,15 @@ LSB = 0.00875 * DEG  # of the L3GD20H at +/-245 deg/s
 @dataclass(frozen=True)
 class Scenario:
     """What a record is like. Densities two-sided; `lively` moves 69 % of the time; vibrations are sd per reading
-    [rad/s] of a 37 Hz shake; `tails` are the degrees of freedom of a Student's t (0: Gaussian)."""
+    [rad/s]; `tails` are the degrees of freedom of a Student's t (0: Gaussian)."""
 
     hours: float = 12.0
     rate: float = 384.0
     lively: bool = False
-    creep: str = "slow"  # "slow" speed, "fading" speed, or "none"
+    creep: str = "slow"  # "slow" speed, "fading" speed, "long" fading, "stepping" down, "mixed" of all, or "none"
+    stops: str = "exponential"  # their lengths on the lively platform; or "even", "wide"
+    straight: float = 0.0  # share of a lively platform's legs that hardly turn
+    both_ways: bool = False  # turns of the paper's platform to either side
     N: float = 0.011 * DEG
     B: float = 3.58 * DEG_H / 0.664
     K: float = 1.0 * DEG_H / 60.0  # 1 deg/h in an hour's root
@@ -38,6 +41,7 @@ class Scenario:
     temperature_slope: float = 0.0  # rad/s/K, of a daily swing of 8 K, given as a column
     vibration_drive: float = 0.0
     vibration_rest: float = 0.0
+    vibration: str = "tone"  # of 37 Hz; or "band", noise from 15 to 60 Hz; or "motor", a tone of changing pitch
     tails: float = 0.0
 
 
@@ -54,6 +58,24 @@ SCENARIOS: dict[str, Scenario] = {
     "lively, vibration": Scenario(lively=True, vibration_drive=0.6 * DEG, vibration_rest=0.2 * DEG),
     "heavy tails": Scenario(tails=3.0),
     "lively, heavy tails": Scenario(lively=True, tails=3.0),
+}
+
+# Other creeps, stops, shakes and sensors: what a method must not be tuned to.
+VARIATIONS: dict[str, Scenario] = {
+    "paper, long fading": Scenario(creep="long"),
+    "paper, stepping": Scenario(creep="stepping", both_ways=True),
+    "lively, long fading": Scenario(lively=True, creep="long"),
+    "lively, stepping": Scenario(lively=True, creep="stepping"),
+    "lively, mixed, wide": Scenario(lively=True, creep="mixed", stops="wide"),
+    "lively, sharp, even": Scenario(lively=True, creep="none", stops="even"),
+    "lively, straights": Scenario(lively=True, creep="mixed", straight=0.4, vibration_drive=0.3 * DEG),
+    "lively, band shake": Scenario(
+        lively=True, creep="mixed", vibration="band", vibration_drive=1.0 * DEG, vibration_rest=0.3 * DEG
+    ),
+    "lively, motor": Scenario(lively=True, creep="mixed", vibration="motor", vibration_drive=1.0 * DEG),
+    "lively, MPU6050": Scenario(lively=True, creep="mixed", N=0.0036 * DEG, B=6.0 * DEG_H, K=3.0 * DEG_H / 60),
+    "lively, ADIS16405": Scenario(lively=True, creep="mixed", N=0.041 * DEG, B=25.0 * DEG_H, K=6.0 * DEG_H / 60),
+    "paper, MPU6050": Scenario(creep="mixed", N=0.0036 * DEG, B=6.0 * DEG_H, K=3.0 * DEG_H / 60),
 }
 
 
@@ -91,11 +113,27 @@ def gyro_plant(seed: int, scenario: Scenario) -> GyroPlant:
     gz = true + bias
     gz += _white(rng, n, scenario)
     if scenario.vibration_drive or scenario.vibration_rest:
-        shake = np.sqrt(2) * np.sin(2 * np.pi * 37.3 * t + np.cumsum(rng.standard_normal(n)) * 0.05)
-        gz += np.where(resting, scenario.vibration_rest, scenario.vibration_drive) * shake
+        gz += np.where(resting, scenario.vibration_rest, scenario.vibration_drive) * _shake(rng, t, scenario)
     gz = np.round(gz / LSB) * LSB
     truth_t = np.arange(0.0, t[-1], 0.1)
     return GyroPlant(t, gz, bias, resting, truth_t, np.interp(truth_t, t, theta), temperature)
+
+
+def _shake(rng: np.random.Generator, t: Floats, scenario: Scenario) -> Floats:
+    """A vibration of unit deviation."""
+    from scipy.signal import butter, sosfilt
+
+    n = len(t)
+    if scenario.vibration == "band":
+        top = min(60.0, 0.45 * scenario.rate)
+        shake = sosfilt(butter(2, [15.0, top], "band", fs=scenario.rate, output="sos"), rng.standard_normal(n))
+        return shake / shake.std()
+    if scenario.vibration == "motor":
+        pitch = np.interp(
+            t, np.arange(0.0, t[-1] + 20, 10.0), rng.uniform(8.0, min(90.0, 0.45 * scenario.rate), int(t[-1] / 10) + 3)
+        )
+        return np.sqrt(2) * np.sin(2 * np.pi * np.cumsum(pitch) / scenario.rate)
+    return np.sqrt(2) * np.sin(2 * np.pi * 37.3 * t + np.cumsum(rng.standard_normal(n)) * 0.05)
 
 
 def _white(rng: np.random.Generator, n: int, scenario: Scenario) -> Floats:
@@ -136,12 +174,12 @@ def _movements(rng: np.random.Generator, scenario: Scenario) -> tuple[Floats, Fl
     rates: list[Floats] = [np.array([0.0])]
     now = 30.0 if scenario.lively else 360.0
     while now < end - 120:
-        leg_t, leg_w = _lively_leg(rng) if scenario.lively else _turn(rng, scenario)
+        leg_t, leg_w = _lively_leg(rng, scenario) if scenario.lively else _turn(rng, scenario)
         tail_t, tail_w = _creep(rng, scenario, float(np.sign(leg_w[-1])) or 1.0)
         stamps = np.concatenate((leg_t, leg_t[-1] + tail_t)) + now
         knots.append(stamps)
         rates.append(np.concatenate((leg_w, tail_w)))
-        stop = 1.5 + rng.exponential(8.0)
+        stop = _stop(rng, scenario)
         now = stamps[-1] + (stop if scenario.lively else 360.0 - (stamps[-1] - now))
     return np.append(np.concatenate(knots), end + 1), np.append(np.concatenate(rates), 0.0)
 
@@ -150,14 +188,26 @@ def _turn(rng: np.random.Generator, scenario: Scenario) -> tuple[Floats, Floats]
     """About 0.2 rad at 6 deg/s."""
     w = 6 * DEG * rng.uniform(0.8, 1.2)
     hold = (0.17 if scenario.creep != "none" else 0.2) / w - 0.4
-    return np.array([0.0, 0.4, 0.4 + hold, 0.8 + hold - 0.01]), np.array([0.0, w, w, 0.7 * DEG])
+    side = rng.choice([-1.0, 1.0]) if scenario.both_ways else 1.0
+    return np.array([0.0, 0.4, 0.4 + hold, 0.8 + hold - 0.01]), side * np.array([0.0, w, w, 0.7 * DEG])
 
 
-def _lively_leg(rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Turns of changing rate for about 17 s."""
+def _stop(rng: np.random.Generator, scenario: Scenario) -> float:
+    """How long a lively platform rests [s]."""
+    if scenario.stops == "even":
+        return float(rng.uniform(2.0, 16.0))
+    if scenario.stops == "wide":
+        return float(0.6 + rng.lognormal(1.4, 1.1))
+    return float(1.5 + rng.exponential(8.0))
+
+
+def _lively_leg(rng: np.random.Generator, scenario: Scenario) -> tuple[Floats, Floats]:
+    """Turns of changing rate for about 17 s; or as long straight on, where the rate wanders by 0.2 deg/s."""
     count = 2 + int(rng.exponential(4.0))
     steps = rng.uniform(0.5, 5.0, count)
     w = rng.uniform(-20, 20, count) * DEG
+    if scenario.straight and rng.random() < scenario.straight:
+        w = 0.2 * DEG * rng.standard_normal(count)
     t = np.concatenate(([0.0], np.cumsum(steps)))
     last = np.sign(w[-1]) * 0.7 * DEG
     return np.append(t, t[-1] + 0.4), np.concatenate(([0.0], w, [last]))
@@ -165,11 +215,20 @@ def _lively_leg(rng: np.random.Generator) -> tuple[Floats, Floats]:
 
 def _creep(rng: np.random.Generator, scenario: Scenario, sign: float) -> tuple[Floats, Floats]:
     """The end of a movement, down to zero."""
-    if scenario.creep == "none":
+    kind = scenario.creep
+    if kind == "mixed":
+        kind = str(rng.choice(["slow", "fading", "long", "stepping", "none"]))
+    if kind == "none":
         return np.array([0.05]), np.array([0.0])
-    tau = rng.uniform(0.1, 0.4) if scenario.creep == "slow" else rng.uniform(1.0, 2.5)
-    hold = rng.uniform(2.0, 4.0) if scenario.creep == "slow" else 0.05
-    w = sign * DEG * (rng.uniform(0.5, 0.9) if scenario.creep == "slow" else rng.uniform(0.4, 1.0))
+    if kind == "stepping":  # sticks and slips
+        steps = 0.05 + np.cumsum(rng.uniform(0.2, 1.5, int(rng.integers(2, 7))))
+        rates = sign * DEG * rng.uniform(0.0, 0.5, len(steps)) * np.linspace(1.0, 0.3, len(steps))
+        return np.append(steps, steps[-1] + 0.1), np.append(rates, 0.0)
+    low, high = {"slow": (0.1, 0.4), "fading": (1.0, 2.5), "long": (2.0, 5.0)}[kind]
+    tau = rng.uniform(low, high)
+    hold = rng.uniform(2.0, 4.0) if kind == "slow" else 0.05
+    low, high = {"slow": (0.5, 0.9), "fading": (0.4, 1.0), "long": (0.2, 1.0)}[kind]
+    w = sign * DEG * rng.uniform(low, high)
     fade = np.arange(1, 25) * 0.3 * tau
     rates = w * np.exp(-fade / tau)
     return (

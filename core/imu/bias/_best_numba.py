@@ -40,6 +40,7 @@ from core.imu.bias._learn_numba import (
     GATE,
     HELD,
     KELVIN,
+    LENGTH,
     LOST,
     MEAN,
     MOVES,
@@ -61,11 +62,13 @@ from core.imu.bias._learn_numba import (
     TAIL_TAU,
     TAU,
     TIME,
+    VETOED,
     WALK,
     WHITE,
     WINDOW,
     State,
     learn,
+    raise_level,
     set_level,
 )
 
@@ -144,8 +147,11 @@ def _judge(s: State, c: Floats, k: int) -> int:
     if s.block[slot, COUNT] < 2:  # nothing was heard: it goes on as it was
         s.mark[slot, 0] = s.mark[(k - 1) % RING, 0] if k > 0 else 0
         return k
-    quiet = _quiet(s, k)
-    resting = k > 0 and s.mark[(k - 1) % RING, 0] == 1
+    last = (k - 1) % RING
+    resting = k > 0 and s.mark[last, 0] == 1
+    quiet = _quiet(s, k, resting)
+    if resting and not quiet and _thin(s, k):  # just after a pause: the window says nothing
+        quiet = _agrees(s, k, c[ENTER])
     far = _too_far(s, c, k) if quiet else 0
     back, n = 0, s.n
     if not quiet:
@@ -162,8 +168,11 @@ def _judge(s: State, c: Floats, k: int) -> int:
         n[FRESH] = 1
     else:
         s.mark[slot, 0] = 1
+        n[VETOED], s.quietest[0] = 0, 0.0
         if k - n[BEGAN] >= SCALES[-1]:
             n[REFUSED] = 0
+    if s.mark[slot, 0] == 0:
+        raise_level(s, c, k, _scatter(s, k, 3 * WINDOW))
     low = k
     oldest = max(0, k - RING + 1)
     if back > 0:  # what came before was the movement's beginning, or its end
@@ -173,8 +182,10 @@ def _judge(s: State, c: Floats, k: int) -> int:
                 low = min(low, i)
     elif n[FRESH] == 1 and s.mark[slot, 0] == 1:  # told from a window: the rest began inside it
         n[FRESH] = 0
-        for i in range(k - 1, max(k - WINDOW, oldest - 1), -1):
-            if not _agrees(s, c, i):
+        # Little of it: what creeps in here is lost, and bends the bias as well. At the very start all of it.
+        back = WINDOW if k < WINDOW else WINDOW // 2
+        for i in range(k - 1, max(k - back, oldest - 1), -1):
+            if not _agrees(s, i, 1.5):
                 break
             s.mark[i % RING, 0] = 1
             low = i
@@ -182,12 +193,12 @@ def _judge(s: State, c: Floats, k: int) -> int:
 
 
 @numba.njit(cache=False)
-def _agrees(s: State, c: Floats, i: int) -> bool:  # one block's mean with the bias before it
+def _agrees(s: State, i: int, most: float) -> bool:  # one block's mean with the bias before it, in deviations
     b, old = s.block[i % RING], s.bias[(i - 1) % RING]
     off = b[MEAN] - old[0]
     calm = b[CLIPPED] < s.level[READING] * (1 + FAR * s.level[SPREAD])
     spread = s.level[NOISE] * s.level[HELD] / max(b[COUNT], 1.0) + old[1] + s.level[SWING]
-    return calm and b[MOVES] == 0 and b[COUNT] > 0 and (i == 0 or off * off < c[ENTER] * c[ENTER] * spread)
+    return calm and b[MOVES] == 0 and b[COUNT] > 0 and (i == 0 or off * off < most * most * spread)
 
 
 @numba.njit(cache=False)
@@ -204,7 +215,7 @@ def _onset(s: State, k: int) -> int:  # how many blocks of the movement that sho
 
 
 @numba.njit(cache=False)
-def _quiet(s: State, k: int) -> bool:
+def _quiet(s: State, k: int, resting: bool) -> bool:
     """Whether block k ends a window of rest as far as one can say without the bias."""
     b, level = s.block[k % RING], s.level
     if level[READING] <= 0 or b[COUNT] < min(4.0, level[HELD] / 2) or b[MOVES] != 0:
@@ -212,10 +223,22 @@ def _quiet(s: State, k: int) -> bool:
     for a in range(AXES):
         if b[OTHERS + a] > s.others[a] * (1 + 2 * FAR * max(level[SPREAD], 0.1)):
             return False
-    calm = b[CLIPPED] < level[READING] * (1 + FAR * level[SPREAD])
-    if calm and _scatter(s, k, WINDOW) < EVEN * level[NOISE]:
+    # One noisy block by itself is an outlier's or a knock's: it ends no rest.
+    loud = 0
+    for i in range(max(0, k - WINDOW + 1 if resting else k), k + 1):
+        loud += 1 if s.block[i % RING, CLIPPED] > level[READING] * (1 + FAR * level[SPREAD]) else 0
+    if loud <= (1 if resting else 0) and _scatter(s, k, WINDOW) < EVEN * level[NOISE]:
         return True
-    return _scatter(s, k, 3 * WINDOW) < STEADY * level[NOISE]
+    # Or it shakes in rest, but less than in movement.
+    return b[PLAIN] < 0.5 * s.driving[0] and _scatter(s, k, 3 * WINDOW) < STEADY * level[NOISE]
+
+
+@numba.njit(cache=False)
+def _thin(s: State, k: int) -> bool:  # whether half of the last window was not heard
+    n = 0
+    for i in range(max(0, k - WINDOW + 1), k):
+        n += 1 if s.block[i % RING, COUNT] < 2 else 0
+    return 2 * n >= WINDOW
 
 
 @numba.njit(cache=False)
@@ -283,7 +306,8 @@ def _advance(s: State, c: Floats, k: int) -> None:
     if s.mark[slot, 2] == 1:  # the bias is elsewhere now
         p[1, :], p[:, 1] = 0.0, 0.0
         p[1, 1] = c[FIRST]
-    h, white = b[TIME], s.level[WHITE] * b[TIME]
+        x[1] = b[MEAN] - x[2] - x[3] * b[KELVIN]
+    h, white = b[TIME], s.level[WHITE] * c[LENGTH]
     rests = s.mark[slot, 0] == 1
     before = k > 0 and s.mark[last, 0] == 1
     since = s.mark[last, 1] + 1 if before else 0
@@ -301,8 +325,8 @@ def _advance(s: State, c: Floats, k: int) -> None:
         if since == 0:
             p[0, 0] += c[STOP] * c[STOP] * white
             if k > 0 and s.block[last, COUNT] < 2:  # the movement ended unheard
-                x[0] += b[ANGLE] - h * b[RAW]
-                p[0, 0] += b[LOST]
+                x[0] += b[ANGLE] - h * (x[1] + x[2] + x[3] * b[KELVIN])
+                p[0, 0] += b[LOST] + white * h
         left, fresh, keep = _left(s, since, np.exp(-h / c[TAIL_TAU]))
     advance(
         x, p, rests, h, b[ANGLE], b[LOST], b[MEAN], b[KELVIN], white * h, noise, s.level[WALK] * h, phi,

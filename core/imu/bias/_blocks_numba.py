@@ -32,26 +32,6 @@ def moments(x: npt.NDArray[np.floating], start: Ints) -> Floats:
 
 
 @numba.njit(cache=True, parallel=True)
-def clipped_moments(x: npt.NDArray[np.floating], start: Ints, mean: Floats, reach: float) -> Floats:
-    """As `moments`, each reading first drawn to within `reach` of its block's `mean`: outliers lose their weight."""
-    count = start.shape[0] - 1
-    out = np.full((count, 2), np.nan)
-    for i in numba.prange(count):
-        low, n = start[i], start[i + 1] - start[i]
-        if n < 2 or not np.isfinite(mean[i]):
-            continue
-        first, second = 0.0, 0.0
-        for j in range(low, low + n):
-            d = min(max(float(x[j]) - mean[i], -reach), reach)
-            first += d
-            second += d * d
-        shift = first / n
-        out[i, 0] = mean[i] + shift
-        out[i, 1] = max(0.0, second - n * shift * shift) / (n - 1)
-    return out
-
-
-@numba.njit(cache=True, parallel=True)
 def angles(t: Floats, x: npt.NDArray[np.floating], start: Ints) -> Floats:
     """(K,) integral of x over each block, each reading lasting since the one before it."""
     count = start.shape[0] - 1
@@ -76,3 +56,13 @@ def at_limit(x: npt.NDArray[np.floating], least: float, most: float) -> int:
         if v in (least, most) and x[i - 1] == v and x[i + 1] == v:
             count += 1
     return count
+
+
+@numba.njit(cache=True)
+def longest_repeat(x: npt.NDArray[np.floating]) -> int:
+    """The longest run of equal readings."""
+    most, run = 1, 1
+    for i in range(1, x.shape[0]):
+        run = run + 1 if x[i] == x[i - 1] else 1
+        most = max(most, run)
+    return most

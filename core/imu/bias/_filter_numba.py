@@ -105,6 +105,7 @@ def follow(
         if anew[k]:
             p[1, :], p[:, 1] = 0.0, 0.0
             p[1, 1] = start[0]
+            x[1] = blocks[k, 3] - x[2] - x[3] * blocks[k, 4]
         phi, decay = np.exp(-h / tau), np.exp(-h / tail_tau)
         left, fresh, keep = 0.0, 0.0, 0.0
         if rests[k]:

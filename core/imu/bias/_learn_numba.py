@@ -30,8 +30,8 @@ AXES = 5
 WIDTH = OTHERS + AXES
 
 # Settings
-GATE, ENTER, PATIENCE, FIRST, SLOPE, TAIL, TAU, TAIL_TAU, STOP, GIVEN, N2, K2, SD2 = range(13)
-SETTINGS = 13
+GATE, ENTER, PATIENCE, FIRST, SLOPE, TAIL, TAU, TAIL_TAU, STOP, GIVEN, N2, K2, SD2, LENGTH = range(14)
+SETTINGS = 14
 
 # Levels learnt: variance of a reading at rest, relative spread of a block's variance, variance of a block's mean of
 # clipped and of plain readings, readings per block, blocks learnt from, K^2 and Gauss-Markov variance in use.
@@ -39,6 +39,7 @@ READING, SPREAD, NOISE, WHITE, HELD, LEARNT, WALK, SWING = range(8)
 
 EDGES = (0, 2, 5, 12, 25, 50)  # blocks since a rest began, of the bins that the tail is learnt in
 TABLE = 50
+DOUBT = 3.0  # times its own variance that the tail's mean must exceed, squared
 TAIL_PRIOR = 6.0  # stops that the prior of the tail counts for
 
 # Counters
@@ -63,10 +64,10 @@ class State(NamedTuple):
     bias: Floats  # (RING, 2) bias after the block and its variance
     level: Floats  # (8,)
     others: Floats  # (AXES,) variance of the other axes at rest
-    tail: (
-        Floats  # (TABLE, 2) mean (signed by the movement) and variance of what is left, by blocks since the rest began
-    )
-    bins: Floats  # (5, 5) of the tail: sum, count of the present rest; mean, variance, rests
+    quietest: Floats  # (2 + AXES,) variance, readings and other axes of the steadiest block since the last rest
+    driving: Floats  # (1,) lower quartile of a block's variance in movement
+    tail: Floats  # (TABLE, 2) mean (signed by the movement) and variance of what is left, by blocks since a rest began
+    bins: Floats  # (5, 7) of the tail: sum, count of this rest; mean, variance, rests, variance of one, mean in use
     start: Floats  # (2,) bias and variance before the rest that is being learnt from
     bank: Floats  # (16, 7) drift candidates: weight, b, f, three variances, spare
     last: Floats  # (3,) clipped and plain mean of the block that was learnt from last, spare
@@ -92,8 +93,10 @@ def new_state(setting: Floats) -> State:
         np.zeros((RING, 2)),
         level,
         np.zeros(AXES),
+        np.zeros(2 + AXES),
+        np.zeros(1),
         np.zeros((TABLE, 2)),
-        np.zeros((len(EDGES) - 1, 5)),
+        np.zeros((len(EDGES) - 1, 7)),
         np.zeros(2),
         bank,
         np.zeros(3),
@@ -117,29 +120,51 @@ def set_level(s: State, c: Floats, k: int) -> None:
         plain += b[PLAIN] / WINDOW
         held += b[COUNT] / WINDOW
     spread = np.sqrt(2 / (held - 1))
-    if total <= 0 or (s.level[READING] > 0 and most > s.level[READING] * (1 - min(0.7, 3 * spread))):
-        return
-    s.level[READING], s.level[SPREAD] = total, spread
-    s.level[NOISE], s.level[WHITE] = total / held, plain / held
-    s.level[HELD], s.level[LEARNT] = held, 0.0
-    for a in range(AXES):
-        s.others[a] = 0.0
-        for i in range(k - WINDOW + 1, k + 1):
-            s.others[a] += s.block[i % RING, OTHERS + a] / WINDOW
-    _scale(s, c, s.block[k % RING, TIME])
+    if total > 0 and (s.level[READING] <= 0 or most < s.level[READING] * (1 - min(0.7, 3 * spread))):
+        _begin(s, c, k, total, plain, held)
 
 
 @numba.njit(cache=False)
-def _scale(s: State, c: Floats, h: float) -> None:
+def raise_level(s: State, c: Floats, k: int, scatter: float) -> None:
+    """A higher level where for long nothing has passed for rest: that of the steadiest blocks since, if their means
+    (`scatter` over 3 WINDOW of them) scatter no more than their own noise says."""
+    s.n[VETOED] += 1
+    b, q = s.block[k % RING], s.quietest
+    if b[COUNT] >= 2 and b[PLAIN] > 0 and scatter < STEADY * b[PLAIN] / b[COUNT] and (q[0] <= 0 or b[PLAIN] < q[0]):
+        q[0], q[1] = b[PLAIN], b[COUNT]
+        q[2:] = b[OTHERS:]
+    if s.n[VETOED] >= c[PATIENCE] * (1 if s.level[LEARNT] == 0 else 4):
+        s.n[VETOED] = 0
+        if q[0] > 0:
+            _begin(s, c, k, q[0], q[0], q[1])
+            s.others[:] = q[2:]
+        q[0] = 0.0
+
+
+@numba.njit(cache=False)
+def _begin(s: State, c: Floats, k: int, reading: float, plain: float, held: float) -> None:
+    s.level[READING], s.level[SPREAD] = reading, np.sqrt(2 / (held - 1))
+    s.level[NOISE], s.level[WHITE] = reading / held, plain / held
+    s.level[HELD], s.level[LEARNT] = held, 0.0
+    for a in range(AXES):
+        s.others[a] = 0.0
+        for i in range(max(0, k - WINDOW + 1), k + 1):
+            s.others[a] += s.block[i % RING, OTHERS + a] / WINDOW
+    _scale(s, c)
+
+
+@numba.njit(cache=False)
+def _scale(s: State, c: Floats) -> None:
     """What goes with the white noise: drift and tail begin as usual for a gyro of this noise."""
+    h = c[LENGTH]
     white = c[N2] if c[GIVEN] > 0 else s.level[WHITE] * h
     if c[GIVEN] <= 0:
         s.level[WALK], s.level[SWING] = _drift(s, white)
         s.p[2, 2] = max(s.p[2, 2], s.level[SWING])
     for i in range(s.bins.shape[0]):
         middle = (EDGES[i] + EDGES[i + 1]) / 2 * h
-        s.bins[i, 2], s.bins[i, 4] = 0.0, 0.0
-        s.bins[i, 3] = c[TAIL] * c[TAIL] * white * np.exp(-2 * middle)
+        s.bins[i, 2], s.bins[i, 4], s.bins[i, 5] = 0.0, 0.0, 0.0
+        s.bins[i, 3] = c[TAIL] * c[TAIL] * white * np.exp(-2 * middle / 2.5)
     _tabulate(s)
 
 
@@ -147,6 +172,10 @@ def _scale(s: State, c: Floats, h: float) -> None:
 def _tabulate(s: State) -> None:
     """The tail by blocks since the rest began: straight lines between the bins' middles, never rising."""
     m = s.bins.shape[0]
+    for i in range(m):  # a mean that may as well be chance would turn every rest the same way
+        q = s.bins[i]
+        chance = DOUBT * q[5] / (q[4] + 1)
+        q[6] = q[2] * (1 - chance / (q[2] * q[2])) if q[2] * q[2] > chance else 0.0
     for k in range(TABLE):
         at = k + 0.5
         i = 0
@@ -154,7 +183,7 @@ def _tabulate(s: State) -> None:
             i += 1
         left, right = (EDGES[i] + EDGES[i + 1]) / 2, (EDGES[i + 1] + EDGES[i + 2]) / 2
         u = min(max((at - left) / (right - left), 0.0), 1.0)
-        s.tail[k, 0] = (1 - u) * s.bins[i, 2] + u * s.bins[i + 1, 2]
+        s.tail[k, 0] = (1 - u) * s.bins[i, 6] + u * s.bins[i + 1, 6]
         s.tail[k, 1] = max((1 - u) * s.bins[i, 3] + u * s.bins[i + 1, 3], 0.0)
         if k > 0:
             s.tail[k, 1] = min(s.tail[k, 1], s.tail[k - 1, 1])
@@ -174,15 +203,18 @@ def learn(s: State, c: Floats, slot: int) -> None:
         if since <= TABLE:
             _learn_tail(s, b, since)
             if since == TABLE:
-                _end_of_rest(s, TABLE + 5, b[TIME])
+                _end_of_rest(s, TABLE + 5, c[LENGTH])
         if c[GIVEN] <= 0:
             _learn_drift(s, c, b, since, s.mark[slot, 3])
     elif not rests:
         if n[OLD] == 1 and n[OLD_SINCE] < TABLE:
-            _end_of_rest(s, n[OLD_SINCE], b[TIME])
+            _end_of_rest(s, n[OLD_SINCE], c[LENGTH])
         s.group[3] += b[TIME]
         s.group[0], s.group[1], s.group[2] = 0.0, 0.0, 0.0
         s.start[0], s.start[1] = s.bias[slot]
+        if s.driving[0] <= 0:
+            s.driving[0] = b[PLAIN]
+        s.driving[0] *= 1.0025 if b[PLAIN] > s.driving[0] else 0.9925
     if b[COUNT] < 2:
         return
     n[OLD], n[OLD_SINCE], n[OLD_SIGN] = s.mark[slot, 0], s.mark[slot, 1], s.mark[slot, 3]
@@ -225,17 +257,18 @@ def _end_of_rest(s: State, length: int, h: float) -> None:
         if m < EDGES[i + 1] - EDGES[i] or EDGES[i + 1] + 4 > length or s.n[OLD_SIGN] == 0:
             continue
         e = s.n[OLD_SIGN] * s.bins[i, 0] / m
-        s.bins[i, 4] += 1
-        count = s.bins[i, 4]
         known = s.level[NOISE] / m + s.start[1]
         if s.start[1] > s.level[NOISE]:
             continue
-        d = e - s.bins[i, 2]
-        most = 16 * (known + max(s.bins[i, 3], 0.0))
+        q = s.bins[i]
+        q[4] += 1
+        d = e - q[2]
+        most = 16 * (known + max(q[3], 0.0))
         # The mean's prior: 0 within 0.7 N, less where the rest has lasted.
-        usual = 0.5 * white * np.exp(-2 / 3 * (EDGES[i] + EDGES[i + 1]) / 2 * h)
-        s.bins[i, 2] += min(max(d, -np.sqrt(most)), np.sqrt(most)) / min(count + known / usual, 1000.0)
-        s.bins[i, 3] += (min(d * d, most) - known - s.bins[i, 3]) / min(count + TAIL_PRIOR, 400.0)
+        usual = 0.5 * white * np.exp(-(EDGES[i] + EDGES[i + 1]) / 8 * h) + 1e-3 * known
+        q[2] += min(max(d, -np.sqrt(most)), np.sqrt(most)) / min(q[4] + known / usual, 1000.0)
+        q[3] += (min(d * d, most) - known - q[3]) / min(q[4] + TAIL_PRIOR, 400.0)
+        q[5] += (known + max(q[3], 0.0) - q[5]) / min(q[4], 400.0)
     _tabulate(s)
 
 
@@ -253,7 +286,7 @@ def _learn_drift(s: State, c: Floats, b: Floats, since: int, sign: int) -> None:
         return
     mean, noise, gap = g[0] / GROUP, g[1] / GROUP**2 + tail, g[3]
     g[:] = 0.0
-    white = s.level[WHITE] * b[TIME]
+    white = s.level[WHITE] * c[LENGTH]
     phi, total, first = np.exp(-gap / c[TAU]), 0.0, s.n[GROUPED] == 0
     for i in range(s.bank.shape[0]):
         q = s.bank[i]

@@ -65,7 +65,10 @@ def cut(run: Run, imu: ImuLog, length: float) -> Blocks:
     last = cells * count + 1
     ends, start = out[cells:last:cells], edges[:last:cells]
     given = np.zeros((count, WIDTH))
-    given[:, TIME] = cells / RATE
+    # Blocks in which nothing was heard take no time; the one that ends the pause takes all of it.
+    heard = np.diff(start) >= 2
+    place = np.concatenate(([0.0], ends[heard] - out[0]))
+    given[heard, TIME] = np.round(np.diff(place) * RATE) / RATE
     given[:, ANGLE] = np.diff(turned[:last:cells])
     given[:, LOST] = np.diff(lost[:last:cells])
     given[:, KELVIN] = _kelvin(imu, start)

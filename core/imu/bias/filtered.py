@@ -16,7 +16,7 @@ from core.errors import ParameterError
 from core.imu.bias import _learn_numba as kernel
 from core.imu.bias._best_numba import run as run_blocks
 from core.imu.bias.blocks import Blocks, cut
-from core.imu.bias.drift import SLOPE_SD, BiasNoise, learn
+from core.imu.bias.drift import SLOPE_SD, BiasNoise, learn, usual
 from core.imu.bias.result import ACCEPTED, REJECTED_BY_BAND, REJECTED_BY_RANGE, BiasEstimate, SegmentVerdicts
 from core.run import Run
 from core.sensors import ImuLog
@@ -40,11 +40,11 @@ class FilterConfig:
 
     block: float = 0.2
     gate: float = 5.0
-    enter: float = 2.5
+    enter: float = 2.0
     patience: float = 30.0
     tail: float = 1.5
     tail_tau: float = 2.5
-    stop: float = 1.0
+    stop: float = 2.0
     first_sd: float = 0.2
     noise: BiasNoise | None = None
 
@@ -78,6 +78,7 @@ def settings(config: FilterConfig, length: float, warm: bool) -> Floats:
     out[kernel.PATIENCE] = config.patience / length
     out[kernel.FIRST], out[kernel.SLOPE] = config.first_sd**2, SLOPE_SD**2 if warm else 0.0
     out[kernel.TAIL], out[kernel.TAIL_TAU], out[kernel.STOP] = config.tail, config.tail_tau, config.stop
+    out[kernel.LENGTH] = length
     out[kernel.TAU] = noise.tau if noise else kernel.USUAL_TAU
     if noise:
         out[kernel.GIVEN] = 1.0
@@ -208,7 +209,8 @@ def _result(
         at, still = ended, done.live[:, 4] == 1
         fast: Floats | float = np.concatenate(([0.0], done.live[:, 6]))[at]
     else:
-        at, fast = np.minimum(-(-np.arange(len(out)) // cells), count), noise.sd**2
+        at = np.minimum(-(-np.arange(len(out)) // cells), count)
+        fast = noise.sd**2 + usual(noise.N).sd ** 2
         ends = np.concatenate((out[:1], blocks.t))
         still = done.still
         calm = np.concatenate((still[:1], still))[at]

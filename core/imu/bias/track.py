@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from core.errors import MissingStreamError, NotEnoughDataError, ParameterError
 from core.imu.bias.filtered import FilterConfig, best, smoothed
@@ -17,9 +16,9 @@ from core.run import Run
 from core.sensors import ImuLog
 
 LARGEST = 35.0  # rad/s: 2000 deg/s, the widest range of a MEMS gyro
-FAST = 6.0  # rad/s: more than robots turn
-NOISIEST = 0.05  # rad/s, of a reading at rest; a MEMS gyro has a tenth of it
-NOISIEST_DENSITY = 0.004  # rad/s/sqrt(Hz), of the same
+NOISIEST_DENSITY = 0.004  # rad/s/sqrt(Hz), at rest; a MEMS gyro has a tenth of it
+DEAD = 3.0  # s without a change
+SLOWEST = 1.5  # s from reading to reading
 
 
 @dataclass(frozen=True)
@@ -74,51 +73,67 @@ def track_bias(run: Run, method: str, config: SegmentConfig | FilterConfig | Non
         )
     if run.imu is None or not len(run.imu):
         raise MissingStreamError("the run has no gyro readings", method=method, missing="imu.gz")
-    imu, notes = _finite(run.imu)
+    imu, notes = _usable(run.imu)
     least, most = float(imu.gz.min()), float(imu.gz.max())
     if least == most:
         notes += (f"All {len(imu)} readings are {least:g} rad/s: the gyro may be dead. The bias is taken as that.",)
         return _constant(method, imu, least, notes)
     made = chosen.run(run, imu, config)
-    return replace(made, notes=notes + made.notes + _oddities(imu.gz, least, most, made))
+    return replace(made, notes=notes + made.notes + _oddities(imu, least, most, made))
 
 
-def _finite(imu: ImuLog) -> tuple[ImuLog, tuple[str, ...]]:
-    good = np.isfinite(imu.gz)
+def _usable(imu: ImuLog) -> tuple[ImuLog, tuple[str, ...]]:
+    """Readings that are finite and whose stamps go on."""
+    good = np.isfinite(imu.gz) & np.isfinite(imu.t)
     bad = len(good) - int(good.sum())
-    if len(good) - bad < 8:
+    notes: tuple[str, ...] = (f"{bad} gyro readings are not finite; they are left out.",) if bad else ()
+    latest = np.maximum.accumulate(np.where(good, imu.t, -np.inf))
+    onward = good.copy()
+    onward[1:] &= imu.t[1:] > latest[:-1]
+    back = int(good.sum() - onward.sum())
+    if back:
+        notes += (f"{back} stamps do not go on from the one before; their readings are left out.",)
+    left = int(onward.sum())
+    if left < 8:
         raise NotEnoughDataError(
-            f"{len(good) - bad} finite gyro readings are too few to find a bias from",
+            f"{left} finite gyro readings are too few to find a bias from",
             stream="imu",
             column="gz",
-            found=len(good) - bad,
+            found=left,
             expected=8,
         )
-    if not bad:
+    if left == len(good):
         return imu, ()
-    kept = ImuLog(**{name: column[good] for name, column in imu.columns().items()})  # type: ignore[arg-type]
-    return kept, (f"{bad} gyro readings are not finite; they are left out.",)
+    kept = ImuLog(**{name: column[onward] for name, column in imu.columns().items()})  # type: ignore[arg-type]
+    return kept, notes
 
 
-def _oddities(gz: npt.NDArray[np.floating], least: float, most: float, made: BiasEstimate) -> tuple[str, ...]:
-    """What the size of the readings says about them."""
-    from core.imu.bias._blocks_numba import at_limit
+def _oddities(imu: ImuLog, least: float, most: float, made: BiasEstimate) -> tuple[str, ...]:
+    """What the readings' size, limits, repeats and stamps say about them."""
+    from core.imu.bias._blocks_numba import at_limit, longest_repeat
 
     notes: tuple[str, ...] = ()
     largest = max(abs(least), abs(most))
-    noisy = made.figures.get("sigma_sr", 0.0) > NOISIEST and largest > FAST
-    dense = made.figures.get("N", 0.0) > NOISIEST_DENSITY and float((made.segments.verdict == ACCEPTED).mean()) > 0.1
-    if largest > LARGEST or noisy or dense:
+    step = float(imu.t[-1] - imu.t[0]) / (len(imu.t) - 1)
+    # White noise shows from reading to reading, whatever the movement.
+    white = 1.4826 * float(np.median(np.abs(np.diff(imu.gz[:200_000])))) / np.sqrt(2)
+    rested = float((made.segments.verdict == ACCEPTED).mean()) > 0.1 and step < SLOWEST
+    if largest > LARGEST or (rested and white * np.sqrt(step) > NOISIEST_DENSITY):
         notes += (
             f"The readings reach {largest:.4g} rad/s: are they in deg/s? "
             f"Wanted are rad/s, {180 / np.pi:.4g} times less.",
         )
-    stuck = at_limit(gz, least, most)
+    stuck = at_limit(imu.gz, least, most)
     if stuck >= 3 and most - least > 0.2:
         notes += (
             f"{stuck} readings sit at the record's limits, {least:.4g} and {most:.4g} rad/s: "
             "the gyro was saturated, and what it turned meanwhile is lost.",
         )
+    repeats = longest_repeat(imu.gz)
+    if repeats * step > DEAD and repeats > 100:
+        notes += (f"For {repeats * step:.3g} s all readings are equal: the gyro may have been dead.",)
+    if step > SLOWEST:
+        notes += (f"Readings come every {step:.3g} s: are the stamps in milliseconds? Wanted are seconds.",)
     return notes
 
 
