@@ -40,7 +40,8 @@ LEFT, RIGHT = (
 TRACK = (1 + FLAWS.track_scale) * (LEFT + RIGHT) / 2
 TRUE = {
     "left_radius": 0.075 * LEFT, "right_radius": 0.075 * RIGHT, "track_width": 0.32 * TRACK,
-    "gyro_scale": 1 + FLAWS.gyro_scale, "tag_x": 0.1, "tag_y": 0.05, "tag_yaw": 0.0, "imu_clock": 0.0, "reference_delay": 0.0,
+    "gyro_scale": 1 + FLAWS.gyro_scale, "tag_x": 0.1, "tag_y": 0.05, "tag_yaw": 0.0,
+    "imu_clock": 0.0, "reference_delay": 0.0,
 }  # fmt: skip
 SETUPS = {"poses": Sensors(), "positions": Sensors(fix_theta=None), "ranges": Sensors(fixes=0, ranges=10)}
 
