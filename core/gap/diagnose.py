@@ -170,9 +170,15 @@ def _unknown(found: Search, material: Sequence[str]) -> tuple[Unexplained | None
     doubt: dict[str, float] = {}
     best: tuple[float, Unexplained] | None = None
     for scope, one in zip(("wheels", "body")[-len(found.links) :], found.links, strict=True):
-        shape, gain = found.rests[scope].best
-        if shape is None:
+        if one.unknown is not None:
+            shape, gain = one.unknown
+            told = Unexplained(stream_of(shape), depends_on(shape), words(shape, gain, 1.0), 1.0)
+            best = (gain, told) if best is None or gain > best[0] else best
             continue
+        rest_shape, gain = found.rests[scope].best
+        if rest_shape is None:
+            continue
+        shape = rest_shape
         stream = stream_of(shape)
         took = one.earned
         suspects = [name for name in touching(shape, list(one.fit.model)) if name in material]

@@ -10,11 +10,13 @@ import numpy.typing as npt
 
 from core.effects import EFFECTS
 from core.gap.candidates import Candidate
-from core.gap.fit import Fit, refit
-from core.gap.linear import Model, Problem, linearise, whitened, with_floor
-from core.gap.scatter import DENSITIES, Scatter, block_means, gyro_walk, scatters, walk_costs
+from core.gap.fit import refit
+from core.gap.linear import Model, Problem, linearise, with_floor
+from core.gap.scatter import DENSITIES, Scatter, block_means, gyro_left, gyro_walk, scatters, walk_costs
 from core.gap.selection import WORTH, Found, gains_of, search
+from core.gap.smoothing import smooth
 from core.gap.unknown import Rest, rest_of, stream_of
+from core.gap.world import WHEELS, World
 from core.robot import EffectSet
 
 Array = npt.NDArray[np.float64]
@@ -24,6 +26,12 @@ MEAN_GYRO = ("gyro_bias", "gyro_drift", "gyro_temperature")
 """Mean effects that a walking bias can pass for."""
 PER_EFFECT, PER_PARAMETER = 15.0, 8.0
 """What an effect and a parameter must earn, in drop of deviance, where two whole explanations are weighed."""
+KINEMATIC = ("wheel_radius", "unequal_wheels")
+"""What would have to make up for ticks that are not missed."""
+STRANGE = 60.0
+"""What a shape of no listed effect must earn."""
+FITTED = 1.3
+"""A drive whose encoders' mean square stays above this is taken from the encoders, not from its model."""
 
 
 def silent(fraction: float, message: str) -> None:
@@ -70,7 +78,10 @@ def explain(problem: Problem, tried: Sequence[Candidate], progress: Progress = s
     if lost is not None:
         held = {"missed_ticks": lost.fit.model["missed_ticks"]}
         other = search(_driven(lost, held), rest, "body")
-        if _price(lost, other) < _price(wheels, body):
+        honest = search(_driven(lost, {}), rest, "body") if set(other.fit.model) & set(KINEMATIC) else None
+        if honest is not None and not set(honest.fit.model) & set(KINEMATIC):
+            body = honest  # the body moves as the encoders say: they miss nothing, the motors differ
+        elif _price(lost, other) < _price(wheels, body):
             wheels, body = lost, other
     progress(0.55, "looking at what is left")
     return _finish(wheels, body, tried)
@@ -78,8 +89,26 @@ def explain(problem: Problem, tried: Sequence[Candidate], progress: Progress = s
 
 def _driven(wheels: Found, held: EffectSet) -> Problem:
     """The body's problem under a fitted drive."""
-    worlds = tuple(world.with_drive(wheels.fit.model) for world in wheels.problem.worlds)
+    normal = wheels.fit.normal
+    told = float(normal.c.sum()) < FITTED * float(normal.n.sum()) and wheels.unknown is None
+    if told:
+        worlds = tuple(world.with_drive(wheels.fit.model) for world in wheels.problem.worlds)
+    else:
+        worlds = tuple(recorded(world, wheels) for world in wheels.problem.worlds)
     return with_floor(dataclasses.replace(wheels.problem, worlds=worlds, held=held), {})
+
+
+def recorded(world: World, wheels: Found) -> World:
+    """Driven by what the encoders show: the model's angles, corrected by the smoothed rest."""
+    predicted = world.wheels([wheels.problem.overlay(wheels.fit.model, "wheels")])
+    radius = world.run.meta.robot.wheel_radius or 0.0
+    t = world.times["wheels.left"]
+    speeds = []
+    for name in WHEELS:
+        angle = predicted[name][0, world.keep(name)]
+        angle = angle + smooth(world.readings[name] - angle, wheels.problem.floor.sigma[name])
+        speeds.append(radius * np.diff(angle) / np.diff(t))
+    return world.with_wheels(0.5 * (t[1:] + t[:-1]), *speeds)
 
 
 def _missed(problem: Problem, wheels: Found, drive: Sequence[Candidate], ticks: Sequence[Candidate]) -> Found | None:
@@ -101,6 +130,7 @@ def _price(*links: Found) -> float:
     """What is left over, plus what the model itself costs."""
     total = 0.0
     for one in links:
+        total += 0.0 if one.unknown is None else STRANGE - one.unknown[1]
         total += (
             float(one.fit.normal.c.sum()) + PER_EFFECT * len(one.fit.model) + PER_PARAMETER * len(one.fit.parameters)
         )
@@ -110,7 +140,7 @@ def _price(*links: Found) -> float:
 def _finish(wheels: Found | None, body: Found, tried: Sequence[Candidate]) -> Search:
     """Noise effects, a walking bias in place of mean ones, and what is left."""
     rests = {"body": rest_of(body.problem, body.fit)}
-    walk = _walking(body, rests["body"])
+    walk = None if body.unknown is not None else _walking(body, rests["body"])
     if walk is not None:  # a walk follows anything slow: the others are asked again beside it
         floor = dataclasses.replace(body.problem.floor, gyro_walk=walk.parameters["density"][0])
         acting = [c for c in tried if EFFECTS[c.effect].family != "drive" or not body.problem.leads]
@@ -135,13 +165,13 @@ def _walking(body: Found, left: Rest) -> Scatter | None:
     mean = [name for name in MEAN_GYRO if name in body.fit.model]
     rest = {name: values for name, values in body.fit.model.items() if name not in mean}
     bare = refit(body.problem, rest, "body", 2) if mean else body.fit
-    bare_left = _gyro_left(body.problem, bare)
+    bare_left = gyro_left(body.problem, bare)
     walk, gain = gyro_walk(body.problem, bare_left)
     shaped = max((value for shape, value in left.shapes if stream_of(shape) == "imu.gz"), default=0.0)
     if walk is None or gain < shaped:
         return None
     if mean:
-        without, beside = (_steady_cost(body.problem, rows) for rows in (bare_left, _gyro_left(body.problem, body.fit)))
+        without, beside = (_steady_cost(body.problem, rows) for rows in (bare_left, gyro_left(body.problem, body.fit)))
         if gain < without - beside - PER_PARAMETER * len(mean):
             return None
     return walk
@@ -152,17 +182,3 @@ def _steady_cost(problem: Problem, residuals: Sequence[tuple[Array, Array]]) -> 
     sigma = problem.floor.sigma["imu.gz"]
     parts = [block_means(t, values) for t, values in residuals]
     return sum(float(walk_costs(t, mean, sigma**2 / n, DENSITIES[:1])[0]) for t, mean, n in parts)
-
-
-def _gyro_left(problem: Problem, fit: Fit) -> list[tuple[Array, Array]]:
-    """Stamps and what a fit leaves of the gyro [rad/s], per run."""
-    plain = dataclasses.replace(problem, floor=dataclasses.replace(problem.floor, gyro_walk=0.0))
-    white, _ = whitened(plain, fit.model, (), "body")
-    sigma = problem.floor.sigma["imu.gz"]
-    limit = float(fit.model.get("gyro_clip", {}).get("limit", np.inf)) - 4.0 * sigma
-    out = []
-    for world, one in zip(problem.worlds, white, strict=True):
-        if "imu.gz" in one:  # at its clip a gyro's noise has one side: that is no offset
-            free = np.abs(world.readings["imu.gz"]) < limit
-            out.append((one["imu.gz"].t[free], one["imu.gz"].residual[free] * sigma))
-    return out

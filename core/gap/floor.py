@@ -22,6 +22,8 @@ NORMAL_MEDIAN = 0.67449
 """Median size of a standard normal number."""
 THIRD = np.sqrt(20.0)
 """Standard deviation of a third difference of unit white noise."""
+SATURATED = 5
+"""A largest reading that comes more often is a sensor's limit."""
 FEW = 30
 """Fewer third differences than this say nothing of the noise."""
 FALLBACK = {"imu.gz": 2e-3, "imu.ax": 0.05, "imu.ay": 0.05, "ranges.range": 0.05, "beacon.theta": 0.05}
@@ -72,7 +74,13 @@ def stated(run: Run) -> dict[str, float]:
 
 
 def third_differences(world: World, name: str, residual: Array) -> Array:
-    """Third differences in units of the noise; of ranges, each beacon's own."""
+    """Third differences in units of the noise; of ranges, each beacon's own; of a saturated gyro, the rest."""
+    if name == "imu.gz":
+        size = np.abs(world.readings[name])
+        stuck = size >= size.max(initial=0.0) * (1.0 - 1e-9)
+        if stuck.sum() > SATURATED:
+            free = ~(stuck[3:] | stuck[2:-1] | stuck[1:-2] | stuck[:-3])
+            return np.diff(residual, 3)[free] / THIRD
     if name != "ranges.range" or world.run.ranges is None:
         return np.diff(residual, 3) / THIRD
     beacon = world.run.ranges.beacon[world.keep(name)]

@@ -173,7 +173,7 @@ def polish(
         if value < lowest - 1.0:
             best, lowest = tried, value
     for step in steps:
-        for _ in range(4):
+        for _ in range(2):
             moved = False
             for dx, dy, dr in EDGES:
                 tried = {
@@ -190,7 +190,7 @@ def polish(
     return best
 
 
-SCATTERED = 40
+SCATTERED = 30
 """Discs tried by chance around the first, before its edges are moved."""
 EDGES = (
     (1, 0, 1), (1, 0, -1), (-1, 0, 1), (-1, 0, -1), (0, 1, 1), (0, 1, -1), (0, -1, 1), (0, -1, -1),

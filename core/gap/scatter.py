@@ -6,14 +6,16 @@ factor, the sheet is wrong, not a sensor. A gyro's walk is judged against the me
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from core.gap.fit import Fit
 from core.gap.floor import Floor
-from core.gap.linear import Problem
+from core.gap.linear import Problem, whitened
 from core.gap.world import World
 from core.robot import EffectSet
 
@@ -27,6 +29,8 @@ FAR = 4.0
 """A fix further off than this many sigma may be an outlier."""
 LEAST = 6
 """So many of them before one speaks of a rate."""
+APART, COMMON = 3.0, 0.35
+"""Outliers are at least this much wider than the noise, and no more than this share."""
 AGREE = 1.12
 """Factors of two sensors nearer than this are one."""
 
@@ -131,6 +135,20 @@ def gyro_walk(problem: Problem, residuals: Sequence[tuple[Array, Array]]) -> tup
     return Scatter("gyro_walk", {"density": (float(DENSITIES[best]), sd)}, gain), gain
 
 
+def gyro_left(problem: Problem, fit: Fit) -> list[tuple[Array, Array]]:
+    """Stamps and what a fit leaves of the gyro [rad/s], per run."""
+    plain = dataclasses.replace(problem, floor=dataclasses.replace(problem.floor, gyro_walk=0.0))
+    white, _ = whitened(plain, fit.model, (), "body")
+    sigma = problem.floor.sigma["imu.gz"]
+    limit = float(fit.model.get("gyro_clip", {}).get("limit", np.inf)) - 4.0 * sigma
+    out = []
+    for world, one in zip(problem.worlds, white, strict=True):
+        if "imu.gz" in one:  # at its clip a gyro's noise has one side: that is no offset
+            free = np.abs(world.readings["imu.gz"]) < limit
+            out.append((one["imu.gz"].t[free], one["imu.gz"].residual[free] * sigma))
+    return out
+
+
 def outliers(problem: Problem, model: EffectSet) -> list[Scatter]:
     """`beacon_outliers`, and the noise level beside them: two normal distributions, by expectation-maximisation."""
     sets: list[Array] = []
@@ -153,6 +171,8 @@ def outliers(problem: Problem, model: EffectSet) -> list[Scatter]:
         wide = np.sqrt(_mean_square(share, powers, sets))
         near = np.sqrt(_mean_square([1.0 - s for s in share], powers, sets))
         wide = max(wide, 2.0 * near)
+    if wide < APART * near or rate > COMMON:
+        return []
     names = [name for name in ("beacon.x", "ranges.range") if name in problem.floor.sigma]
     unit = float(np.mean([problem.floor.sigma[name] for name in names]))
     size = float(np.sqrt(wide**2 - near**2)) * unit

@@ -11,13 +11,16 @@ import numpy.typing as npt
 from core.effects import EFFECTS
 from core.gap.candidates import Candidate
 from core.gap.fit import Fit, cost_of, parameters_of, refit
+from core.gap.generic import Shape
 from core.gap.linear import Model, Normal, Problem, linearise, with_floor
 from core.gap.places import placed, polish
+from core.gap.scatter import gyro_left, gyro_walk
+from core.gap.unknown import blocked_by, rest_of
 from core.robot import EffectSet
 
 Array = npt.NDArray[np.float64]
 
-MOST = 6
+MOST = 5
 """At most so many effects in one link's model."""
 TRIED = 4
 """So many of the best candidates are refitted at each step."""
@@ -29,8 +32,8 @@ WHEELS_WORTH = 120.0
 """The same of encoders: rounding at slow speed is no white noise."""
 SECANT = (0.25, 4.0)
 """Weights that a secant may have: its shape holds near its start only."""
-SHARE = 0.1
-"""An effect beyond the first must explain this share of what is left in some channel it touches, or noise would do."""
+POLISHED = 0.05
+"""A patch that brings less than this per reading is not worth the search for its last centimetre."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +48,9 @@ class Step:
 class Found:
     """The model of one link: its fit, the problem with the floor it left, the search's steps, the rivals' screening.
 
-    earned: rise of the cost without each effect, the rest refitted. tolerated: per channel, the deviance that a flaw of
-    tolerated size brings (median over the effects that touch it).
+    unknown: a shape of no listed effect that took more than any of them, where the search met one. earned: rise of the
+    cost without each effect, the rest refitted. tolerated: per channel, the deviance that a flaw of tolerated size
+    brings (median over the effects that touch it).
     """
 
     fit: Fit
@@ -54,6 +58,7 @@ class Found:
     steps: tuple[Step, ...] = ()
     gains: dict[str, float] = field(default_factory=dict)
     earned: dict[str, float] = field(default_factory=dict)
+    unknown: tuple[Shape, float] | None = None
     tolerated: dict[str, float] = field(default_factory=dict)
 
 
@@ -98,9 +103,12 @@ def search(problem: Problem, tried: Sequence[Candidate], scope: str, start: Effe
     steps: list[Step] = []
     gains: dict[str, float] = {}
     tolerated: dict[str, float] = {}
+    unknown: tuple[Shape, float] | None = None
     for _ in range(MOST):
         fresh = [one for one in tried if one.effect not in fit.model]
-        if scope != "wheels":
+        if unknown is not None:
+            fresh = [one for one in fresh if not blocked_by(unknown[0]) & set(EFFECTS[one.effect].streams)]
+        elif scope != "wheels":
             fresh += placed(problem, fit.model)
         normal = linearise(problem, fit.model, fresh, scope)
         own = len(parameters_of(fit.model))
@@ -117,16 +125,22 @@ def search(problem: Problem, tried: Sequence[Candidate], scope: str, start: Effe
         name, best = min(fits, key=lambda item: item[1].cost)
         if fit.cost - best.cost < worth:
             break
+        if unknown is None:
+            unknown = _stranger(problem, fit, best, pairs_of(normal, own, fresh))
+            if unknown is not None:
+                fit, unknown = _stood_in(problem, fit, unknown, scope)
+                steps.append(Step(f"unknown {unknown[0].key}", tuple((e, fit.cost - f.cost) for e, f in fits)))
+                continue
         steps.append(Step(f"add {name}", tuple((e, fit.cost - f.cost) for e, f in fits)))
         best, dropped = _drop(problem, best, scope)
         steps += [Step(f"drop {one}") for one in dropped]
-        if "slip_patch" in best.model:
+        if name == "slip_patch":
             best = _polished(problem, best, scope)
         problem = with_floor(problem, best.model)
         fit = refit(problem, best.model, scope)
-    if "slip_patch" in fit.model:
+    if "slip_patch" in fit.model and _loss(fit, "slip_patch") > POLISHED * fit.normal.n.sum():
         fit = _polished(problem, fit, scope, (0.04, 0.02, 0.01, 0.005, 0.002))
-    return Found(fit, problem, tuple(steps), gains, _earned(problem, fit, scope), tolerated)
+    return Found(fit, problem, tuple(steps), gains, _earned(problem, fit, scope), unknown, tolerated)
 
 
 def _earned(problem: Problem, fit: Fit, scope: str) -> dict[str, float]:
@@ -163,6 +177,66 @@ def _polished(problem: Problem, fit: Fit, scope: str, steps: Sequence[float] = (
     moved = polish(cost, fit.model["slip_patch"], steps)
     again = refit(problem, {**fit.model, "slip_patch": dict(moved)}, scope, BRIEF)
     return again if again.cost < fit.cost else fit
+
+
+BEYOND, MARGIN = 1.02, 60.0
+"""A shape that no listed effect has must beat the best of them by this factor and drop of deviance."""
+PAIRED = 8
+"""So many of the best candidates are also tried in pairs."""
+
+
+def _stranger(problem: Problem, fit: Fit, best: Fit, pair: float) -> tuple[Shape, float] | None:
+    """A shape that takes more than the best listed effect, the best two, and a walking gyro bias; else None."""
+    listed = max(fit.cost - best.cost, pair)
+    shape, gain = rest_of(problem, fit).best
+    if shape is None or gain < BEYOND * listed + MARGIN:
+        return None
+    if "imu.gz" in blocked_by(shape) and "imu.gz" in problem.floor.sigma and problem.floor.gyro_walk == 0.0:
+        _, walked = gyro_walk(problem, gyro_left(problem, fit))
+        if walked > gain:
+            return None
+    return shape, gain
+
+
+def _stood_in(problem: Problem, fit: Fit, unknown: tuple[Shape, float], scope: str) -> tuple[Fit, tuple[Shape, float]]:
+    """Without the effects that had only stood in for the unknown cause: a shape alone does what they did with it."""
+    shared = [name for name in fit.model if blocked_by(unknown[0]) & set(EFFECTS[name].streams)]
+    if not shared:
+        return fit, unknown
+    bare = refit(problem, {k: v for k, v in fit.model.items() if k not in shared}, scope, BRIEF)
+    shape, gain = rest_of(problem, bare).best
+    if shape is None or gain < STANDS * (bare.cost - fit.cost + unknown[1]):
+        return fit, unknown
+    return bare, (shape, gain)
+
+
+STANDS = 0.9
+"""Share of what effects and shape took together that the shape alone must take, for the effects to be dropped."""
+
+
+def pairs_of(normal: Normal, own: int, tried: Sequence[Candidate]) -> float:
+    """The most that two smooth candidates bring together, the model's own parameters refitted."""
+    _, g, a = normal.total
+    base, solve = _projector(a[:own, :own], g[:own])
+    cross = a[own:, :own]
+    info, score = a[own:, own:] - cross @ solve(cross.T), g[own:] - cross @ base
+    at, parts = 0, []
+    gain = gains_of(normal, own, tried)
+    for k, one in enumerate(tried):
+        mine = list(range(at, at + len(one.keys)))
+        at += len(one.keys)
+        if not one.secant:
+            parts.append((gain[k], one.effect, mine))
+    parts.sort(key=lambda part: -part[0])
+    best = 0.0
+    for i, (_, first, mine) in enumerate(parts[:PAIRED]):
+        for _, second, theirs in parts[i + 1 : PAIRED]:
+            if first != second:
+                both = mine + theirs
+                size = np.sqrt(np.maximum(np.diag(a)[[own + j for j in both]], 1e-12))
+                scaled = info[np.ix_(both, both)] / np.outer(size, size) + 1e-6 * np.eye(len(both))
+                best = max(best, float((score[both] / size) @ np.linalg.solve(scaled, score[both] / size)))
+    return best
 
 
 def _best_of(tried: Sequence[Candidate], gain: Array) -> dict[str, float]:

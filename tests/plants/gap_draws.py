@@ -111,7 +111,7 @@ def plans(kind: str, seed: int) -> tuple[list[Plan], Plan, Effects, str]:
     common = {"effects": effects, "outside": outside, "truth": kind != "truthless", "stated": stated}
     common["sensors"] = (
         "both"
-        if any("beacon" in n or "range" in n or "anchor" in n or "tag" in n for n in chosen)
+        if any("fix" in n or "beacon" in n or "range" in n or "anchor" in n or "tag" in n for n in chosen)
         else str(rng.choice(["fix", "ranges", "both"]))
     )
     fit = [Plan(seed, "mixed", 100.0, **common), Plan(seed, "turns", 80.0, **common)]

@@ -28,7 +28,7 @@ OUTSIDE = {
     "gyro_sign": 0.004,  # gz += c*sign(w)
     "left_motor": 0.015,  # the left wheel alone turns slower by this share
     "encoder_wobble": 0.01,  # the right encoder reads c*sin(angle) more
-    "caster": 0.02,  # w += c*v: a dragging caster
+    "caster": 0.05,  # w += c*v*|v|: a caster that drags more the faster it goes
     "headwind": 0.03,  # v += c*cos(theta): a push along the map's x
     "fix_drift": 4e-4,  # fixes wander along x by c*t
     "long_anchor": 0.12,  # ranges to one anchor are long
@@ -146,7 +146,7 @@ def drive(plan: Plan, params: RobotParams, start: Pose) -> dict[str, Floats]:
         ground.append((1.0 - np.clip(k * a * np.sign(rim), -1.0, 1.0)) * rim * scale * factor)
     v = 0.5 * (ground[0] + ground[1])
     w = (ground[1] - ground[0]) / (b * get(e, "track_width", "scale", 1.0))
-    w = w + out.get("caster", 0.0) * v
+    w = w + out.get("caster", 0.0) * v * np.abs(v)
     if "bump" in e:
         s = t - get(e, "bump", "time", 0.0)
         push = np.where((s > 0.0) & (s < 0.3), (1.0 - np.cos(2.0 * np.pi * s / 0.3)) / 0.3, 0.0)
