@@ -112,7 +112,8 @@ def _sentence(parts: dict[str, ImuResult], columns: list[str], duration_s: float
 
 
 def _rest(parts: dict[str, ImuResult]) -> list[float] | None:
-    row = next((parts[name] for name in ("bias.best", "bias.C", "bias.B") if name in parts), None)
+    made = (parts[name] for name in ("bias.best", "bias.C", "bias.B") if name in parts)
+    row = next((row for row in made if not row.error), None)
     rest = None if row is None else row.figures.get("rest")
     return None if rest is None else list(rest)
 

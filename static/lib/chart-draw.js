@@ -74,6 +74,7 @@ export function drawMarks(u, { t, y }, { mark, color }, range) {
   ctx.clip();
   ctx.strokeStyle = ctx.fillStyle = colour(color);
   ctx.lineWidth = 1.2 * devicePixelRatio;
+  ctx.globalAlpha = Math.min(1, Math.max(0.3, bbox.width / (2 * r * Math.max(last - first, 1)))); // a crowd is drawn lighter
   ctx.beginPath();
   for (let i = first; i < last; i++) {
     if (y[i] === null || y[i] === undefined) continue;

@@ -192,7 +192,7 @@ export function createChart(host, spec) {
       series: [{}, ...spec.series.map(line)],
       hooks: {
         drawAxes: [(u) => drawUnder(u, { gaps: current.gaps, events, bands: chart.bands, range: clock.range })],
-        draw: [(u) => chart.visibleSeries.filter((s) => s.style === "marks").forEach((s) => drawMarks(u, current.readings.get(s.key), s, clock.range))],
+        draw: [(u) => chart.visibleSeries.filter((s) => s.style === "marks").reverse().forEach((s) => drawMarks(u, current.readings.get(s.key), s, clock.range))],
       },
     };
   }
