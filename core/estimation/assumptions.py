@@ -28,7 +28,7 @@ class Assumptions:
     gyro_scale_sd: float = 0.005  # relative
     quantum: float = 0.01  # rad, one encoder step where ticks_per_rev is unknown
     slip: float = 0.01  # m/sqrt(m): travelled distance the wheels misread, sd after one metre
-    distance_scale_sd: float = 0.01  # relative, of the mean wheel radius
+    distance_scale_sd: float = 0.008  # relative, of the mean wheel radius
     inequality_sd: float = 0.003  # relative, right radius against left
     track_scale_sd: float = 0.03  # relative, of the effective track width
     side_slip: float = 0.005  # m/sqrt(m): sideways motion, sd after one metre
@@ -47,14 +47,14 @@ class Assumptions:
     range: float = 0.2  # m
     range_scale_sd: float = 0.03  # relative, speed of sound or clock
     range_bias_sd: float = 0.2  # m, of all ranges alike
-    delay_sd: float = 0.03  # s, of the beacon system
+    delay_sd: float = 0.02  # s, of the beacon system
     lasting_fix: float = 0.0  # m, error of fixes that lasts
     lasting_range: float = 0.0  # m, error of one beacon's ranges that lasts
     lasting_time: float = 10.0  # s, how long
     skid: float = 0.0  # m, by which a skid-steered robot turns about another place than its axle's midpoint
     slide: float = 0.04  # m/sqrt(s), how far a robot slides while its wheels slip
     carried: float = 0.7  # m/sqrt(s), how far something else moves the robot
-    carried_turn: float = 0.05  # rad/sqrt(s), and how far it turns it unseen by the gyro
+    carried_turn: float = 0.02  # rad/sqrt(s), and how far it turns it unseen by the gyro
     stubborn: float = 60.0  # s for which fixes that leapt without a reason are not believed
     leap: float = 3.0  # m/s: a robot does not move faster than that without its wheels
     parameter_walk: float = 2e-5  # 1/sqrt(s), how fast scales wander
@@ -69,7 +69,13 @@ class Assumptions:
 
 FIELDS: dict[str, dataclasses.Field[float]] = {f.name: f for f in dataclasses.fields(Assumptions)}
 
-_FROM_RUN = {"gyro_density": "gyro_density", "accel_density": "accel_density", "fix_xy": "beacon_xy", "fix_theta": "beacon_theta", "range": "range"}
+_FROM_RUN = {
+    "gyro_density": "gyro_density",
+    "accel_density": "accel_density",
+    "fix_xy": "beacon_xy",
+    "fix_theta": "beacon_theta",
+    "range": "range",
+}
 _WORDS = {
     "gyro_density": "gyro noise density {:.2g} rad/s/√Hz",
     "fix_xy": "fix noise {:.2g} m",
@@ -93,7 +99,9 @@ def assume(run: Run, config: Config | None = None) -> tuple[Assumptions, tuple[s
             continue
         if sheet is not None and sheet > 0:
             values[name] = float(sheet)
-        elif name in _WORDS and getattr(run, _STREAM[name]) is not None and not (name == "fix_theta" and _headless(run)):
+        elif name not in _WORDS or (name == "fix_theta" and _headless(run)):
+            continue
+        elif getattr(run, _STREAM[name]) is not None:
             notes.append(f"Assumed, as run.json is silent: {_WORDS[name].format(FIELDS[name].default)}.")
     return Assumptions(**{**values, **given}), tuple(notes)
 

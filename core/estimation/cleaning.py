@@ -47,7 +47,7 @@ def filled(t: Array, column: npt.NDArray[np.floating], name: str) -> Array:
 
 
 def forward_acceleration(imu: ImuLog, mount: ImuMount) -> Array | None:
-    """(N,) specific force along the body's x axis at the axle [m/s^2], turned out of the IMU's frame and freed from what
+    """(N,) specific force along the body's x axis at the axle [m/s^2], turned out of the IMU's frame and freed of what
     turning does at the IMU's place; None where the IMU has no usable accelerometer."""
     if imu.ax is None or (imu.ay is None and mount.yaw != 0.0):
         return None

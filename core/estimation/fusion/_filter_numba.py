@@ -113,7 +113,7 @@ def _at_rest(x: Any, P: Any, gz: float, mem: Any, c: Any) -> bool:
 
 @njit(error_model="numpy", forceinline=True)
 def _feel(t: float, dt: float, dv: float, mem: Any) -> None:
-    """How much speed the body has lost of late that the wheels have not: both changes of speed, washed out over WASH."""
+    """How much speed the body has lost of late and the wheels have not: both changes of speed, washed out over WASH."""
     keep = math.exp(-dt / WASH)
     mem[WASH_IMU] = (mem[WASH_IMU] + dv) * keep
     mem[WASH_WHEELS] *= keep
@@ -226,7 +226,7 @@ FILES = ("layout.py", "_model_numba.py", "_wheels_numba.py", "_beacon_numba.py")
 DIGEST = zlib.crc32(b"".join(Path(__file__).with_name(name).read_bytes() for name in FILES)) | 1
 
 run_filter = _entry_point(DIGEST)
-"""run_filter(begin, end, row, events, x, P, n, mem, past, c, out, rec, record) -> next row: walk over events begin .. end.
+"""run_filter(begin, end, row, events, x, P, n, mem, past, c, out, rec, record) -> next row: walk over some events.
 
 events, c, out, rec: `Readings`, an array of `Constants`, `Tracks`, `Records`. Changed in place: x (N,), P (N, N), mem
 (MEMORY,), past (PAST, SEEN). In `out.nis`: WHEEL distance, turn; FIX, RANGE joint value, log of the innovation's

@@ -63,7 +63,7 @@ from core.estimation.fusion.layout import (
 
 @njit(error_model="numpy", forceinline=True)
 def _back(z: Any, stride: int, step: int, count: int, f: Any, gyro: bool, wheels: bool) -> None:
-    """z = F' z, the adjoint of `_model_numba.spread`, for `count` columns: state k of column j is z[k stride + j step]."""
+    """z = F' z, the adjoint of `_model_numba.spread`, for `count` columns: state k of column j at k stride + j step."""
     for j in range(count):
         o = j * step
         x, y, th, s = z[X * stride + o], z[Y * stride + o], z[TH * stride + o], z[S * stride + o]

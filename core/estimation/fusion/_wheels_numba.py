@@ -138,7 +138,7 @@ def _test(t: float, nu: float, nu_turn: float, turning: bool, x: Any, P: Any, si
 def _slower(
     d: float, nu_turn: float, since: float, x: Any, P: Any, n: int, c: Any, work: Any, rec: Any, k: int
 ) -> None:
-    """Wheels that contradict the gyro's turn, and nobody knows which: a driven wheel that slips runs ahead, so the speed
+    """Wheels that contradict the gyro's turn, and nobody knows which: a driven wheel that slips runs ahead; the speed
     is near that of the slower one, which may slip as well."""
     more = abs(0.5 / c[INVERSE_TRACK] * nu_turn)
     slow = math.copysign(max(abs(d) - more, 0.0), d) / since

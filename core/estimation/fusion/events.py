@@ -1,4 +1,4 @@
-"""All sensors of a run as one time-sorted list of raw readings, made by whole columns: what the compiled filter walks over.
+"""All sensors of a run as one time-sorted list of raw readings, by whole columns: what the compiled filter walks over.
 
 Each event stands for itself: nothing in it comes from another stamp, so a late one can be put in at its place. Kinds,
 columns and flags are described in `layout`.

@@ -149,7 +149,7 @@ def _moves(events: Events, walked: Walk, disturbed: tuple[Event, ...]) -> list[E
 
 
 def findings(events: Events, problem: Problem, walked: Walk) -> tuple[str, ...]:
-    """What the user should know afterwards: refused readings, parameters the run did not show, an unobserved heading."""
+    """What a user should know afterwards: refused readings, parameters not shown, an unobserved heading."""
     notes = []
     for kind, column, what in ((FIX, 0, "fixes"), (RANGE, 0, "ranges"), (WHEEL, 1, "wheel turns")):
         rows = (events.kind == kind) & (walked.status[:, column] != NONE)

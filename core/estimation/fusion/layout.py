@@ -1,7 +1,7 @@
 """What the compiled filter's arrays mean: states, numbers of a run, kinds and flags of events, memory, records.
 
 State (n of N are in use, always the first n): x, y [m], theta [rad] of the body in the map; v [m/s], the wheels' mean
-rim speed; b [rad/s], gyro bias, or minus the wheels' turn rate where there is no gyro; s [m], phi [rad], what the wheels
+rim speed; b [rad/s], gyro bias, or minus the wheels' turn rate where there is no gyro; s [m], phi [rad], what wheels
 should have told by now of distance and turn; kd distance scale, ke wheel inequality, kb track scale, kg gyro scale; ba
 [m/s^2], what the accelerometer reads too much along x (bias and tilt); dt [s], delay of the beacon system; then where
 there are ranges kr, their scale, and br [m], their bias; then lasting errors [m] of the beacon system: of fixes along x
@@ -78,9 +78,9 @@ class Constants(NamedTuple):
 
 (
     HAS_GYRO, HAS_ACCEL, INVERSE_TRACK, TAG_X, TAG_Y, TAG_Z, TAU, SILENCE, HOLD, Q_PAUSE, Q_SPEED, Q_ACCEL,
-    Q_TILT, Q_TURN, Q_GYRO, Q_BIAS, Q_SCALE, Q_SLIP, Q_SIDE, Q_SKID, Q_SLIDE, Q_CARRIED, Q_CARRIED_TURN, R_DISTANCE, R_TURN,
-    R_RATE, R_STILL, R_FIX, R_FIX_THETA, R_RANGE, OFFSET_VAR, OFFSET_TAU, FIRST_OFFSET, GATE1, GATE2, GATE3,
-    PATIENCE, PATIENCE_REST, STUBBORN, LEAP, COAST,
+    Q_TILT, Q_TURN, Q_GYRO, Q_BIAS, Q_SCALE, Q_SLIP, Q_SIDE, Q_SKID, Q_SLIDE, Q_CARRIED, Q_CARRIED_TURN,
+    R_DISTANCE, R_TURN, R_RATE, R_STILL, R_FIX, R_FIX_THETA, R_RANGE, OFFSET_VAR, OFFSET_TAU, FIRST_OFFSET,
+    GATE1, GATE2, GATE3, PATIENCE, PATIENCE_REST, STUBBORN, LEAP, COAST,
 ) = range(41)  # fmt: skip
 """Places of the constants in the array that the compiled filter takes."""
 
@@ -117,7 +117,8 @@ class Records(NamedTuple):
 
     parts (K, PARTS + 1): of each step's Jacobian, NaN in the first where no time passed; last, the fade of lasting
     errors. marks (K + 1, 2): corrections before each event; bits of the states that were anchored after the step.
-    which (U, ROOM + 1): states of row h, last how many. corrections (U, N + ROOM + 2): P h, values of h, innovation, its variance.
+    which (U, ROOM + 1): states of row h, last how many. corrections (U, N + ROOM + 2): P h, values of h, innovation,
+    its variance.
     rows (R, 4, N): P of x, y, theta, b.
     """
 

@@ -116,7 +116,7 @@ def _factor(events: Events, walked: Walk, kind: int) -> float:
 
 
 def _slip(events: Events, numbers: Assumptions, walk: Walker) -> tuple[Assumptions, tuple[str, ...]]:
-    """Climb from the typical slip, up or down by SLIP_STEP, while it becomes more likely: by the innovations of fixes and
+    """Climb from the typical slip, up or down by SLIP_STEP, while it becomes likelier: by the innovations of fixes and
     ranges, and by what wheels on a floor usually do (SLIP_SPREAD, a factor of e in one sigma)."""
     across = numbers.side_slip / max(numbers.slip, 1e-9)
 

@@ -1,6 +1,6 @@
 """Readings that come late or out of order: the filter goes back to before the late one and walks to the present again.
 
-The result is that of the same readings in order, to rounding: nothing is approximated. What comes later than the horizon
+The result is that of the same readings in order, to rounding: nothing is approximated. What is later than the horizon
 is dropped and counted, as the filter no longer keeps a state that old.
 """
 
@@ -46,7 +46,7 @@ class Replay:
         return self._state.copy()
 
     def path(self) -> tuple[Array, Array, Array]:
-        """Stamps (M,), rows (M, 5) of x, y, theta, bias and its variance, covariance (M, 3, 3), by all readings taken."""
+        """Stamps (M,), rows (M, 5) of x, y, theta, bias and its variance, covariance (M, 3, 3), by all readings."""
         parts = [*self._old, (self._events.out, self._rows, self._covariance)]
         t, rows, covariance = (np.concatenate([part[i] for part in parts]) for i in range(3))
         return t, rows, covariance

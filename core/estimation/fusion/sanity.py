@@ -30,11 +30,8 @@ GRAVITY = 9.80665
 WINDOW = 0.5  # s over which turns are compared
 TURNS, AGREE = 0.3, 0.8  # rad rms of turning in a window that is enough; least correlation of two witnesses
 NEAR = 1.25  # a factor that is that near to a mistake's is the mistake
-FACTORS = {
-    "degrees in place of radians": DEGREES,
-    "millimetres in place of metres": 1000.0,
-    "centimetres in place of metres": 100.0,
-}
+LENGTHS = {"millimetres": 1000.0, "centimetres": 100.0}
+STRETCH = 2.0  # s over which distances are compared
 ENOUGH = 12  # fixes or ranges of one beacon
 MOVED = 1.0  # m that the robot must have driven
 CLEARLY = 5.0  # by how much the right assumption must fit better
@@ -96,6 +93,10 @@ def _turning(run: Run, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
     if 1 / NEAR < slope / DEGREES < NEAR:
         imu = dataclasses.replace(imu, gz=imu.gz / DEGREES)
         notes = ("The gyro reads degrees in place of radians: converted.",)
+    if 1 / NEAR < slope * DEGREES < NEAR:
+        run, notes = _wheels_converted(run)
+        wheels = run.wheels
+        assert wheels is not None
     if agreement < 0:
         right_way_up = imu.az is not None and float(np.nanmedian(imu.az)) > 0.5 * GRAVITY
         if right_way_up:
@@ -143,31 +144,50 @@ def _leading(run: Run, stamps: Array) -> tuple[Array, npt.NDArray[np.intp]] | No
 
 
 def _fixes(run: Run, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
-    """Fixes against the dead-reckoned path: their unit, and a map that is mirrored."""
-    fixes = run.beacon
-    stretch = _leading(run, fixes.t) if fixes is not None else None
-    if fixes is None or stretch is None:
+    """Fixes against the wheels' distance and the dead-reckoned path: units, and a map that is mirrored."""
+    ratio = _metres_per_metre(run, numbers)
+    fixes, wheels = run.beacon, run.wheels
+    if ratio is None or fixes is None or wheels is None:
+        return run, ()
+    for words, factor in LENGTHS.items():
+        if 1 / NEAR < ratio / factor < NEAR:
+            fixes = dataclasses.replace(fixes, x=fixes.x / factor, y=fixes.y / factor)
+            return dataclasses.replace(run, beacon=fixes), (f"The fixes read {words} in place of metres: converted.",)
+    if 1 / NEAR < ratio * DEGREES < NEAR:
+        return _wheels_converted(run)
+    stretch = _leading(run, fixes.t)
+    if stretch is None:
         return run, ()
     at, rows = stretch
     xy = np.column_stack((fixes.x, fixes.y)).astype(np.float64)[rows]
     good = np.isfinite(xy).all(axis=1)
-    xy, local = xy[good], at[good, :2]
-    if len(xy) < ENOUGH:
+    if good.sum() < ENOUGH or np.ptp(at[good, :2], axis=0).max() < MOVED:
         return run, ()
-    spread = float(np.sqrt(np.mean(np.sum((local - np.median(local, axis=0)) ** 2, axis=1))))
-    seen = float(np.median(np.hypot(*(xy - np.median(xy, axis=0)).T)))
-    moved = float(np.median(np.hypot(*(local - np.median(local, axis=0)).T)))
-    if spread < 0.3 * MOVED or seen < 5 * numbers.fix_xy or moved <= 0:
-        return run, ()
-    for words, factor in FACTORS.items():
-        if 1 / NEAR < seen / moved / factor < NEAR and words.endswith("metres"):
-            fixes = dataclasses.replace(fixes, x=fixes.x / factor, y=fixes.y / factor)
-            return dataclasses.replace(run, beacon=fixes), (f"Fixes read {words}: converted.",)
-        if 1 / NEAR < moved / seen / factor < NEAR and words.startswith("degrees") and run.wheels is not None:
-            w = run.wheels
-            wheels = dataclasses.replace(w, left=w.left / factor, right=w.right / factor)
-            return dataclasses.replace(run, wheels=wheels), (f"The wheels read {words}: converted.",)
-    return _mirrored(run, local, xy, numbers)
+    return _mirrored(run, at[good, :2], xy[good], numbers)
+
+
+def _wheels_converted(run: Run) -> tuple[Run, tuple[str, ...]]:
+    assert run.wheels is not None
+    left, right = run.wheels.left / DEGREES, run.wheels.right / DEGREES
+    wheels = dataclasses.replace(run.wheels, left=left, right=right)
+    return dataclasses.replace(run, wheels=wheels), ("The wheels read degrees in place of radians: converted.",)
+
+
+def _metres_per_metre(run: Run, numbers: Assumptions) -> float | None:
+    """How far fixes move per metre that the wheels roll, in the straightest stretches; None where they say little."""
+    fixes, wheels, robot = run.beacon, run.wheels, run.meta.robot
+    if fixes is None or wheels is None or not robot.wheel_radius or len(fixes) < 2 * ENOUGH or len(wheels) < 2:
+        return None
+    path = wheel_path(wheels, robot.wheel_radius, robot.track_width)
+    x, y = np.asarray(fixes.x, np.float64)[:4000], np.asarray(fixes.y, np.float64)[:4000]
+    d = np.interp(fixes.t[:4000], path.t, path.d)
+    k = int(np.clip(round(STRETCH / max(float(np.median(np.diff(fixes.t))), 1e-3)), 1, len(x) // 2))
+    seen, rolled = np.hypot(x[k:] - x[:-k], y[k:] - y[:-k]), np.abs(d[k:] - d[:-k])
+    use = np.isfinite(seen) & (rolled > 0)
+    use &= rolled >= np.quantile(rolled, 0.5)
+    if use.sum() < ENOUGH or float(np.median(seen[use])) < 5 * numbers.fix_xy:
+        return None
+    return float(np.quantile(seen[use] / rolled[use], 0.7))
 
 
 def _mirrored(run: Run, local: Array, xy: Array, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:

@@ -111,8 +111,8 @@ class Problem:
         from core.estimation.fusion._filter_numba import run_filter
 
         state.row = run_filter(
-            begin, end, state.row, events.readings, state.x, state.P, self.n, state.mem, state.past, self.constants, out,
-            rec if rec is not None else _NO_RECORDS, rec is not None,
+            begin, end, state.row, events.readings, state.x, state.P, self.n, state.mem, state.past, self.constants,
+            out, rec if rec is not None else _NO_RECORDS, rec is not None,
         )  # fmt: skip
 
 

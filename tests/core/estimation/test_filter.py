@@ -11,17 +11,47 @@ from filterpy.kalman import KalmanFilter
 
 from core.estimation.fusion.events import Events
 from core.estimation.fusion.layout import (
-    ACCEPTED, B, BA, BR, DT, FIX, JUMP, KB, KD, KE, KG, KR, MEMORY, N, OUT, PAST, PHI, RANGE, REJECTED, RELOCATED, S,
-    SEEN, T_FIX, T_IMU, T_STRANGE, T_WHEEL, TH, V, WHEEL, Constants, X, Y,
+    ACCEPTED,
+    BA,
+    BR,
+    DT,
+    FIX,
+    JUMP,
+    KB,
+    KD,
+    KE,
+    KG,
+    KR,
+    MEMORY,
+    OUT,
+    PAST,
+    PHI,
+    RANGE,
+    REJECTED,
+    RELOCATED,
+    SEEN,
+    T_FIX,
+    T_IMU,
+    T_STRANGE,
+    T_WHEEL,
+    TH,
+    WHEEL,
+    B,
+    Constants,
+    N,
+    S,
+    V,
+    X,
+    Y,
 )  # fmt: skip
 from core.estimation.fusion.walk import Problem, State, Walk, smooth, tracks, walk
 
 NEVER = 1e9
 BASE = Constants(
     has_gyro=1.0, has_accel=1.0, inverse_track=1 / 0.32, tag_x=0.1, tag_y=0.05, tag_z=0.4, tau=2.0, silence=NEVER,
-    hold=NEVER, q_pause=0.09, q_speed=1.0, q_accel=0.01, q_tilt=4e-4, q_turn=4.0, q_gyro=1e-5, q_bias=1e-8, q_scale=1e-9,
-    q_slip=1e-4, q_side=2.5e-5, q_skid=0.0, q_slide=1.6e-3, q_carried=0.5, q_carried_turn=2.5e-3, r_distance=1e-6,
-    r_turn=1e-5, r_rate=4e-5, r_still=1e-6, r_fix=1.6e-3, r_fix_theta=9e-4, r_range=2.5e-3, offset_var=0.0,
+    hold=NEVER, q_pause=0.09, q_speed=1.0, q_accel=0.01, q_tilt=4e-4, q_turn=4.0, q_gyro=1e-5, q_bias=1e-8,
+    q_scale=1e-9, q_slip=1e-4, q_side=2.5e-5, q_skid=0.0, q_slide=1.6e-3, q_carried=0.5, q_carried_turn=2.5e-3,
+    r_distance=1e-6, r_turn=1e-5, r_rate=4e-5, r_still=1e-6, r_fix=1.6e-3, r_fix_theta=9e-4, r_range=2.5e-3, offset_var=0.0,
     offset_tau=10.0, first_offset=15.0, gate1=1e9, gate2=1e9, gate3=1e9, patience=5.0, patience_rest=50.0,
     stubborn=60.0, leap=3.0, coast=NEVER,
 )  # fmt: skip
@@ -39,7 +69,8 @@ def events(seed: int, count: int = 120, kinds: tuple[int, ...] = ALL) -> Events:
     v, w, noise = 0.5, 0.3, rng.standard_normal((count, 4))
     theta = w * t
     x, y = v / w * np.sin(theta), v / w * (1 - np.cos(theta))
-    tag_x, tag_y = x + 0.1 * np.cos(theta) - 0.05 * np.sin(theta), y + 0.1 * np.sin(theta) + 0.05 * np.cos(theta)
+    cos, sin = np.cos(theta), np.sin(theta)
+    tag_x, tag_y = x + 0.1 * cos - 0.05 * sin, y + 0.1 * sin + 0.05 * cos
     beacon = np.array([(3.0, -2.0, 2.5), (-2.0, 4.0, 2.3)])[np.arange(count) % 2]
     far = np.sqrt((tag_x - beacon[:, 0]) ** 2 + (tag_y - beacon[:, 1]) ** 2 + (0.4 - beacon[:, 2]) ** 2)
     zero = np.zeros(count)

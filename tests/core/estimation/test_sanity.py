@@ -38,7 +38,11 @@ def wheels_exchanged(run: Run) -> Run:
 def wheels_in_degrees(run: Run) -> Run:
     assert run.wheels is not None
     left, right = np.degrees(run.wheels.left), np.degrees(run.wheels.right)
-    return dataclasses.replace(run, imu=None, wheels=dataclasses.replace(run.wheels, left=left, right=right))
+    return dataclasses.replace(run, wheels=dataclasses.replace(run.wheels, left=left, right=right))
+
+
+def wheels_in_degrees_without_a_gyro(run: Run) -> Run:
+    return dataclasses.replace(wheels_in_degrees(run), imu=None)
 
 
 def fixes_in_millimetres(run: Run) -> Run:
@@ -57,6 +61,7 @@ MISTAKES: dict[str, tuple[Callable[[Run], Run], str, float]] = {
     "IMU upside down": (imu(gz=-1.0), "upside down", 0.15),
     "wheels exchanged": (wheels_exchanged, "exchanged", 0.15),
     "wheels in degrees": (wheels_in_degrees, "wheels read degrees", 0.15),
+    "wheels in degrees, no gyro": (wheels_in_degrees_without_a_gyro, "wheels read degrees", 0.15),
     "fixes in millimetres": (fixes_in_millimetres, "millimetres", 0.15),
     "mirrored map": (mirrored, "mirrored", 1.5),
 }
