@@ -51,9 +51,9 @@ BASE = Constants(
     has_gyro=1.0, has_accel=1.0, inverse_track=1 / 0.32, tag_x=0.1, tag_y=0.05, tag_z=0.4, tau=2.0, silence=NEVER,
     hold=NEVER, q_pause=0.09, q_speed=1.0, q_accel=0.01, q_tilt=4e-4, q_turn=4.0, q_gyro=1e-5, q_bias=1e-8,
     q_scale=1e-9, q_slip=1e-4, q_side=2.5e-5, q_skid=0.0, q_slide=1.6e-3, q_carried=0.5, q_carried_turn=2.5e-3,
-    r_distance=1e-6, r_turn=1e-5, r_rate=4e-5, r_still=1e-6, r_fix=1.6e-3, r_fix_theta=9e-4, r_range=2.5e-3, offset_var=0.0,
-    offset_tau=10.0, first_offset=15.0, gate1=1e9, gate2=1e9, gate3=1e9, patience=5.0, patience_rest=50.0,
-    stubborn=60.0, leap=3.0, coast=NEVER,
+    r_distance=1e-6, r_turn=1e-5, r_rate=4e-5, r_still=1e-6, r_fix=1.6e-3, r_fix_theta=9e-4, r_range=2.5e-3,
+    offset_var=0.0, offset_tau=10.0, first_offset=15.0, gate1=1e9, gate2=1e9, gate3=1e9, patience=5.0,
+    patience_rest=50.0, stubborn=60.0, leap=3.0, coast=NEVER,
 )  # fmt: skip
 GATED = BASE._replace(gate1=10.83, gate2=13.82, gate3=16.27)
 PRIOR = np.diag([1e-2, 1e-2, 1e-2, 0.25, 1e-4, 0, 0, 1e-4, 1e-5, 1e-3, 2.5e-5, 4e-2, 9e-4, 1e-3, 4e-2])
