@@ -138,6 +138,7 @@ def _matrix_origins(model: SensorModel) -> tuple[str, ...]:
 def common() -> list[Constant]:
     """What does not depend on calibration or tracker."""
     return [
+        Constant("DS_LARGEST", "1000.0f", "rad/s, m/s^2", "from here on it is no reading, but a fault of the bus"),
         Constant("DS_UNKNOWN", "(-1.0f)", "", "a deviation that is not known"),
         Constant("DS_NO_TEMPERATURE", "(-1000.0f)", "deg C", "where the IMU gives no temperature"),
     ]

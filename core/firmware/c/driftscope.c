@@ -13,6 +13,12 @@ static const float gyro_inverse[3][3] = DS_GYRO_INVERSE;
 
 #define HALF_RANGE 0x80000000U /* a step of the clock beyond this is one backwards */
 
+/* What no sensor reads is no reading: it is not finite, or far beyond every range. */
+static bool sound(float reading)
+{
+    return (isfinite(reading) != 0) && (fabsf(reading) < DS_LARGEST);
+}
+
 /* y = m x */
 static void multiply(const float m[3][3], const float x[3], float y[3])
 {
@@ -67,7 +73,7 @@ static void correct(ds_state *state, const ds_input *in, float dt, float now[DS_
     for (size_t j = 0U; j < DS_AXES; j++) {
         const float reading = (j < 3U) ? in->accel[j] : in->gyro[j - 3U];
         const float bias = bias_now(&state->markov[j], j, dt);
-        const bool good = isfinite(reading) != 0;
+        const bool good = sound(reading);
         if (good) {
             average_add(&state->average[j], reading - bias);
         }
@@ -146,7 +152,7 @@ ds_status ds_step(ds_state *state, const ds_input *in, ds_output *out)
         if (state->waited_us < HALF_RANGE) { /* a longer wait without a rate is one of that length: no overflow */
             state->waited_us += step_us;
         }
-        if (isfinite(in->gyro[2]) != 0) {
+        if (sound(in->gyro[2])) {
             track(state, in, now);
         } else {
             status = DS_BAD_READING;

@@ -37,7 +37,7 @@ typedef struct {
 
 typedef enum {
     DS_OK = 0,
-    DS_BAD_READING = 1, /* the rate about z is not finite: bias and heading wait for the next that is */
+    DS_BAD_READING = 1, /* the rate about z is no reading (not finite, or beyond DS_LARGEST): bias and heading wait */
     DS_BAD_TIME = 2     /* the clock stood still or ran backwards (or a pause was over 35 minutes): the sample is left
                            out, the output is the last one; a clock that jumped is followed from the next sample on */
 } ds_status;

@@ -59,16 +59,16 @@ static inline ds_sum ds_sum_join(ds_sum sum, ds_sum other)
     return ds_sum_add(ds_sum_add(sum, other.lo), other.hi);
 }
 
-/* The same angle within half a turn of 0. One step of an IMU is far below a turn, so this loop runs once at most,
- * but for angles over long pauses. */
+/* The same angle within half a turn of 0: mostly one turn less or none; many at once where a long pause or a wild
+ * reading made it large. */
 static inline ds_sum ds_angle_wrap(ds_sum angle)
 {
     ds_sum made = angle;
-    while (made.hi > DS_PI) {
-        made = ds_sum_add(ds_sum_add(made, -DS_TURN_HI), -DS_TURN_LO);
-    }
-    while (made.hi < -DS_PI) {
-        made = ds_sum_add(ds_sum_add(made, DS_TURN_HI), DS_TURN_LO);
+    while ((made.hi > DS_PI) || (made.hi < -DS_PI)) {
+        const float turns = (float)(int32_t)(made.hi / DS_TURN_HI);
+        const float less = (made.hi > 0.0f) ? 1.0f : -1.0f;
+        const float taken = ((turns > 1.0f) || (turns < -1.0f)) ? turns : less;
+        made = ds_sum_add(ds_sum_add(made, -(taken * DS_TURN_HI)), -(taken * DS_TURN_LO));
     }
     return made;
 }
