@@ -164,7 +164,7 @@ def _scale(s: State, c: Floats) -> None:
     for i in range(s.bins.shape[0]):
         middle = (EDGES[i] + EDGES[i + 1]) / 2 * h
         s.bins[i, 2], s.bins[i, 4], s.bins[i, 5] = 0.0, 0.0, 0.0
-        s.bins[i, 3] = c[TAIL] * c[TAIL] * white * np.exp(-2 * middle / 2.5)
+        s.bins[i, 3] = c[TAIL] * c[TAIL] * white * np.exp(-2 * middle / 5)
     _tabulate(s)
 
 
@@ -184,7 +184,9 @@ def _tabulate(s: State) -> None:
         left, right = (EDGES[i] + EDGES[i + 1]) / 2, (EDGES[i + 1] + EDGES[i + 2]) / 2
         u = min(max((at - left) / (right - left), 0.0), 1.0)
         s.tail[k, 0] = (1 - u) * s.bins[i, 6] + u * s.bins[i + 1, 6]
-        s.tail[k, 1] = max((1 - u) * s.bins[i, 3] + u * s.bins[i + 1, 3], 0.0)
+        # What of the mean is not used counts as variance.
+        near, far = s.bins[i, 2] - s.bins[i, 6], s.bins[i + 1, 2] - s.bins[i + 1, 6]
+        s.tail[k, 1] = max((1 - u) * (s.bins[i, 3] + near * near) + u * (s.bins[i + 1, 3] + far * far), 0.0)
         if k > 0:
             s.tail[k, 1] = min(s.tail[k, 1], s.tail[k - 1, 1])
 

@@ -42,7 +42,7 @@ class FilterConfig:
     gate: float = 5.0
     enter: float = 2.0
     patience: float = 30.0
-    tail: float = 1.5
+    tail: float = 3.0
     tail_tau: float = 2.5
     stop: float = 2.0
     first_sd: float = 0.2

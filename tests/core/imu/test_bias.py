@@ -60,9 +60,10 @@ def test_twelve_hours_with_one_setting() -> None:
     middle = {key: float(np.median(values)) for key, values in largest.items()}
     assert middle["paper best"] < 1.5
     assert middle["paper smoothed"] < 1.0
-    # The aim is 7 degrees and not reached on these seeds (the guide says so); this bound keeps what there is.
-    assert middle["lively best"] < 9.0
-    assert middle["lively smoothed"] <= 1.05 * middle["lively best"]
+    assert middle["lively best"] < 7.0
+    # The gyro's own noise in movement is what remains: knowing every rest is hardly better.
+    together = {key: float(np.sqrt(np.mean(np.square(values)))) for key, values in largest.items()}
+    assert together["lively smoothed"] < 1.25 * together["lively known"]
 
 
 def test_claimed_deviations_are_honest() -> None:
