@@ -84,7 +84,7 @@ def _filter(length: float, given: BiasNoise | None, config: FilterConfig) -> lis
 
 def _learning(length: float, config: FilterConfig) -> list[Constant]:
     edges = np.array(kernel.EDGES)
-    first = config.tail**2 * np.exp(-(edges[1:] + edges[:-1]) * length / 2.5)
+    first = config.tail**2 * np.exp(-(edges[1:] + edges[:-1]) * length / 5)
     usual = 0.5 * np.exp(-(edges[1:] + edges[:-1]) / 8 * length)
     walk, swing = np.array(kernel.BANK_K) ** 2, np.array(kernel.BANK_SD) ** 2
     weight = np.outer(kernel.BANK_PRIOR, kernel.BANK_PRIOR).ravel()

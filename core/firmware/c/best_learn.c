@@ -23,6 +23,13 @@ static float beyond_chance(const ds_bin *bin)
     return (square > chance) ? (bin->mean * (1.0f - (chance / square))) : 0.0f;
 }
 
+/* What of the mean is not used counts as variance. */
+static float with_unused(const ds_bin *bin)
+{
+    const float unused = bin->mean - bin->used;
+    return bin->variance + (unused * unused);
+}
+
 /* The tail by blocks since the rest began: straight lines between the bins' middles, never rising. */
 static void tabulate(ds_bias *s)
 {
@@ -41,7 +48,7 @@ static void tabulate(ds_bias *s)
         const ds_bin *const a = &s->bin[i];
         const ds_bin *const b = &s->bin[i + 1U];
         s->tail_mean[k] = ((1.0f - u) * a->used) + (u * b->used);
-        s->tail_variance[k] = ds_most(((1.0f - u) * a->variance) + (u * b->variance), 0.0f);
+        s->tail_variance[k] = ds_most(((1.0f - u) * with_unused(a)) + (u * with_unused(b)), 0.0f);
         if (k > 0U) {
             s->tail_variance[k] = ds_least(s->tail_variance[k], s->tail_variance[k - 1U]);
         }
