@@ -59,9 +59,7 @@ def main() -> None:
     options.add_argument("--methods", default="best,smoothed,known")
     options.add_argument("--only", help="scenarios, by a part of their names, or several with ; between")
     chosen = options.parse_args()
-    print(
-        "max [deg], net [deg/h]: median / worst of seeds; hourly [deg/h]: worst; 20 deg are passed at [min]; z, root"
-    )
+    print("max [deg], net [deg/h]: median / worst of seeds; hourly [deg/h]: worst; 20 deg are passed at [min]; z, root")
     print("mean squares over claimed sd: the final heading error, its growth by the hour, and the bias error")
     print(
         "scenario               method                      max             net  hourly   20 deg       z z hour z bias"
