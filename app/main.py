@@ -14,7 +14,7 @@ from starlette.responses import Response
 from starlette.staticfiles import StaticFiles
 
 from app import errors, examples, housekeeping, jobs, login, openapi, paths
-from app.api import calibrations, estimates, files, imu, mappings, runs, streams, uploads
+from app.api import calibrations, consistency, estimates, files, imu, mappings, runs, streams, uploads
 from app.api import jobs as job_api
 from app.db.migrate import migrate
 from app.db.session import make_engine
@@ -32,6 +32,7 @@ API_ROUTERS: tuple[APIRouter, ...] = (  # under /api/v1
     files.router,
     mappings.router,
     estimates.router,
+    consistency.router,
     imu.router,
     calibrations.router,
     job_api.router,

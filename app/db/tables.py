@@ -165,6 +165,7 @@ class Estimate(Base):
     parameters: Mapped[dict[str, Any]]
     events: Mapped[list[Any]]
     notes: Mapped[list[Any]]
+    consistency: Mapped[dict[str, Any] | None]  # {sensors: {name: figures}, nees: figures or null}; null: made before
     run: Mapped[Run] = relationship(back_populates="estimates")
     metrics: Mapped[list[Metric]] = relationship(cascade="all, delete-orphan", order_by="Metric.id")
 
@@ -179,6 +180,22 @@ class Metric(Base):
     name: Mapped[str] = mapped_column(String(60))
     value: Mapped[float | None]
     unit: Mapped[str] = mapped_column(String(20))
+
+
+class EventDecision(Base):
+    """A user's word on one event of a run by one method: confirmed or dismissed.
+
+    It belongs to the event of that kind nearest to `t0`, so that it stays when the run is estimated again.
+    """
+
+    __tablename__ = "event_decisions"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    run_id: Mapped[str] = mapped_column(ForeignKey("runs.id", ondelete="CASCADE"), index=True)
+    method: Mapped[str] = mapped_column(String(40))
+    kind: Mapped[str] = mapped_column(String(40))
+    t0: Mapped[float]
+    decision: Mapped[str] = mapped_column(String(12))
+    decided_at: Mapped[datetime] = mapped_column(default=now)
 
 
 class ImuResult(Base):

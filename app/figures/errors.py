@@ -35,8 +35,9 @@ COLUMNS: dict[str, Quantity] = {
     "error_along": Quantity("m", "error along truth's heading", "error_t"),
     "error_across": Quantity("m", "error across truth's heading", "error_t"),
     "error_theta": Quantity("rad", "heading error", "error_t"),
+    "nees": Quantity("", "normalised estimation error squared", "nees_t"),
 }
-_NIS = re.compile(r"nis_(?P<sensor>\w+?)")
+_NIS = re.compile(r"nis_(?P<sensor>[\w.]+?)")
 
 
 def quantity(name: str) -> Quantity | None:
@@ -44,7 +45,7 @@ def quantity(name: str) -> Quantity | None:
     if name in COLUMNS:
         return COLUMNS[name]
     sensor = _NIS.fullmatch(name)
-    if sensor is None or name.endswith("_t"):
+    if sensor is None or name.endswith(("_t", "_accepted")):
         return None
     return Quantity("", f"normalised innovation squared of {sensor['sensor']}", f"{name}_t")
 

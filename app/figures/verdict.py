@@ -16,8 +16,19 @@ Metrics = Mapping[str, float | None]
 SETTLED = math.radians(1.0) / 3600  # rad/s: a bias that moves less than that has not moved
 NAMES = {"encoders+gyro": "encoders with gyro"}
 PATHS = {"encoders": "Encoder path", "encoders+gyro": "Path by encoders with gyro"}
-EVENT_NAMES = {"beacon_loss": "beacon loss", "kidnap": "kidnapping"}
-PLURALS = {"beacon loss": "beacon losses"}
+EVENT_NAMES = {
+    "beacon_loss": "beacon loss",
+    "beacon_lying": "stretch of false fixes",
+    "kidnap": "kidnapping",
+    "pushed": "push",
+    "stuck": "blocked stretch",
+}
+PLURALS = {
+    "beacon loss": "beacon losses",
+    "stretch of false fixes": "stretches of false fixes",
+    "push": "pushes",
+    "blocked stretch": "blocked stretches",
+}
 
 
 @dataclass(frozen=True)
@@ -26,7 +37,7 @@ class Judged:
 
     method: str
     metrics: Metrics
-    events: Sequence[Mapping[str, Any]] = ()
+    events: Sequence[Mapping[str, Any]] = ()  # with the user's `decision`, where there is one
     final_sd: float | None = None
 
 
@@ -46,16 +57,28 @@ def verdict(case: Case) -> str:
     if not case.estimates:
         return _without_estimates(case)
     lead = lead_of(case.estimates)
-    parts = [_position(case, lead), _bias(case, lead), _events(lead)]
+    parts = [_position(case, lead), _bias(case, lead), _events(case)]
     return " ".join(p for p in parts if p)
 
 
 def lead_of(estimates: Sequence[Judged]) -> Judged:
-    """The estimate that speaks for the run: the smallest error against truth, else by PREFERENCE."""
+    """The estimate that speaks for the run: the smallest error against truth, else by PREFERENCE.
+
+    `smoothed` knows each pose's future, so it is told beside `fused` and does not lead it.
+    """
+    if any(e.method == "fused" for e in estimates):
+        estimates = [e for e in estimates if e.method != "smoothed"]
     judged = [e for e in estimates if e.metrics.get("ate_rmse_m") is not None]
     if judged:
         return min(judged, key=lambda e: e.metrics["ate_rmse_m"] or 0.0)
     return min(estimates, key=lambda e: PREFERENCE.index(e.method) if e.method in PREFERENCE else len(PREFERENCE))
+
+
+def events_of(estimates: Sequence[Judged]) -> Judged | None:
+    """The estimate whose events are the run's: `fused`, else the first that found any; None without events."""
+    order = ("fused", "smoothed", "encoders+gyro", "published")
+    having = [e for e in estimates if e.events]
+    return min(having, key=lambda e: order.index(e.method) if e.method in order else len(order), default=None)
 
 
 def _name(method: str) -> str:
@@ -95,12 +118,14 @@ def _position(case: Case, lead: Judged) -> str:
 
 
 def _baseline(estimates: Sequence[Judged], lead: Judged, metric: str) -> str:
-    """The plainest other method, for comparison."""
+    """The plainest other method, for comparison, and what hindsight makes of `fused`."""
     order = ("encoders", "beacon", "encoders+gyro", "fused")
-    others = {e.method: e.metrics.get(metric) for e in estimates if e.method != lead.method}
-    method = next((m for m in order if others.get(m) is not None), None)
-    value = others.get(method) if method else None
-    return f" ({_name(method)} {length(value)})" if method and value is not None else ""
+    others = {e.method: v for e in estimates if e.method != lead.method and (v := e.metrics.get(metric)) is not None}
+    plainest = next((m for m in order if m in others), None)
+    told = [plainest] if plainest else []
+    if lead.method == "fused" and "smoothed" in others:
+        told.append("smoothed")
+    return f" ({', '.join(f'{_name(m)} {length(others[m])}' for m in told)})" if told else ""
 
 
 def _unjudged(case: Case, lead: Judged, name: str) -> str:
@@ -121,8 +146,10 @@ def _bias(case: Case, lead: Judged) -> str:
     return f"Gyro bias moved {bias(abs(drift))} in {duration(case.duration_s)}."
 
 
-def _events(lead: Judged) -> str:
-    kinds = Counter(str(e["kind"]) for e in lead.events)
+def _events(case: Case) -> str:
+    source = events_of(case.estimates)
+    events = [e for e in source.events if e.get("decision") != "dismissed"] if source else []
+    kinds = Counter(str(e["kind"]) for e in events)
     if not kinds:
         return ""
     told = []
@@ -130,7 +157,7 @@ def _events(lead: Judged) -> str:
         name = EVENT_NAMES.get(kind, kind.replace("_", " "))
         text = f"{n} {name if n == 1 else PLURALS.get(name, name + 's')}"
         if kind == "beacon_loss":
-            lasted = sum(float(e["t1"]) - float(e["t0"]) for e in lead.events if e["kind"] == kind)
+            lasted = sum(float(e["t1"]) - float(e["t0"]) for e in events if e["kind"] == kind)
             text += f" of {duration(lasted)}" if n == 1 else f", {duration(lasted)} in all"
         told.append(text)
     return ", ".join(told) + "."

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from core.estimation.result import Estimate
-from core.metrics import evaluate, nees
+from core.metrics import Consistency, check_innovations, evaluate, nees
 from core.metrics.pose_error import PoseErrors
 from core.run import Run
 from core.trajectory import Trajectory
@@ -21,13 +21,15 @@ def outcome_of(run: Run, estimate: Estimate, runtime_s: float) -> dict[str, Any]
     """Everything that is kept: method, columns, final, metrics, parameters, events, notes, runtime_s."""
     path = estimate.trajectory
     errors = evaluate(path, run.truth) if run.truth is not None and len(path) else None
+    claim = claimed_consistency(run, path)
+    columns = {**_path_columns(path), **_bias_columns(estimate), **_error_columns(errors), **_nis(estimate)}
     return {
         "method": estimate.method,
-        "columns": {**_path_columns(path), **_bias_columns(estimate), **_error_columns(errors), **_nis(estimate)},
+        "columns": {**columns, **_nees(claim)},
         "final": final_pose(path),
         "metrics": [
             {"name": name, "value": finite(value), "unit": unit}
-            for name, (value, unit) in metrics(run, estimate, errors).items()
+            for name, (value, unit) in metrics(estimate, errors, claim).items()
         ],
         "parameters": {
             name: {"value": finite(p.value), "sd": finite(p.sd), "unit": p.unit}
@@ -38,7 +40,38 @@ def outcome_of(run: Run, estimate: Estimate, runtime_s: float) -> dict[str, Any]
             for e in estimate.events
         ],
         "notes": list(estimate.notes),
+        "consistency": consistency(estimate, claim),
         "runtime_s": runtime_s,
+    }
+
+
+def consistency(estimate: Estimate, claim: Consistency | None) -> dict[str, Any]:
+    """Whether the method knows its own errors: per sensor by its innovations, and by NEES where there is truth."""
+    sensors = {name: _sensor(i.nis, i.dof, i.accepted) for name, i in estimate.innovations.items()}
+    judged = None
+    if claim is not None:
+        judged = {"dof": claim.dof, "mean": finite(claim.mean), "band": list(claim.band), "inside": claim.inside}
+    return {"sensors": sensors, "nees": judged}
+
+
+def _sensor(nis: npt.NDArray[np.float64], dof: int, accepted: npt.NDArray[np.bool_]) -> dict[str, Any]:
+    check = check_innovations(nis, dof, accepted)
+    white, advice = check.whiteness, check.advice
+    return {
+        "dof": check.dof,
+        "readings": check.readings,
+        "rejected": check.rejected,
+        "mean": finite(check.mean),
+        "band": list(check.band) if check.band else None,
+        "whiteness": white
+        and {
+            "autocorrelation": [round(float(r), 5) for r in white.autocorrelation],
+            "limit": white.limit,
+            "p_value": finite(white.p_value),
+            "effective": finite(white.effective),
+        },
+        "advice": advice
+        and {**{name: finite(getattr(advice, name)) for name in ("factor", "low", "high")}, "fits": advice.fits},
     }
 
 
@@ -54,13 +87,14 @@ def final_pose(path: Trajectory) -> dict[str, float | None]:
     return {name: finite(float(getattr(path, name)[-1])) for name in ("x", "y", "theta")}
 
 
-def metrics(run: Run, estimate: Estimate, errors: PoseErrors | None) -> dict[str, tuple[float | None, str]]:
+def metrics(
+    estimate: Estimate, errors: PoseErrors | None, claim: Consistency | None
+) -> dict[str, tuple[float | None, str]]:
     """Every figure by name, with its SI unit."""
     path = estimate.trajectory
     found: dict[str, tuple[float | None, str]] = {}
     if errors is not None:
         found |= errors.summary()
-    claim = claimed_consistency(run, path)
     if claim is not None:
         found |= {"nees": (claim.mean, ""), "nees_dof": (float(claim.dof), ""), "nees_inside": (claim.inside, "")}
     if len(path):
@@ -76,7 +110,7 @@ def metrics(run: Run, estimate: Estimate, errors: PoseErrors | None) -> dict[str
     return found
 
 
-def claimed_consistency(run: Run, path: Trajectory) -> Any:
+def claimed_consistency(run: Run, path: Trajectory) -> Consistency | None:
     """NEES of a path with a stated covariance against truth, whose own deviation counts; None where there is none."""
     if run.truth is None or path.covariance is None or not len(path):
         return None
@@ -111,5 +145,10 @@ def _error_columns(errors: PoseErrors | None) -> Columns:
 def _nis(estimate: Estimate) -> Columns:
     columns: Columns = {}
     for sensor, innovation in estimate.innovations.items():
-        columns[f"nis_{sensor}_t"], columns[f"nis_{sensor}"] = innovation.t, innovation.nis
+        columns[f"nis_{sensor}_t"], columns[f"nis_{sensor}"] = innovation.t, innovation.nis.astype(np.float32)
+        columns[f"nis_{sensor}_accepted"] = innovation.accepted.astype(np.uint8)
     return columns
+
+
+def _nees(claim: Consistency | None) -> Columns:
+    return {} if claim is None else {"nees_t": claim.t, "nees": claim.nees.astype(np.float32)}

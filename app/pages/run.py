@@ -12,9 +12,9 @@ from sqlalchemy.orm import Session
 
 from app.db.session import reading
 from app.db.tables import Estimate, Run
-from app.figures.verdict import Case, Judged, lead_of, verdict
+from app.figures.verdict import Case, Judged, events_of, lead_of, verdict
 from app.pages.base import Page, render, route
-from app.store import arrays, results, runs
+from app.store import arrays, events, results, runs
 from app.store import jobs as job_store
 from core.estimation.pipeline import METHODS, available
 from core.sensors import STREAMS
@@ -34,7 +34,8 @@ TRUTH_EXPORTS = (
 @dataclass(frozen=True)
 class RunPage(Page):
     """`run`, `estimates` (newest per method), `methods` (why each cannot run, else None), `jobs` (newest first), `lead`
-    (the method that speaks for the run), `neighbours` (ids of the newer and the older run), `exports`.
+    (the method that speaks for the run), `event_method` (whose events are the run's), `neighbours` (ids of the newer and
+    the older run), `exports`.
     """
 
     template: ClassVar[str] = "run.html"
@@ -44,6 +45,7 @@ class RunPage(Page):
     methods: list[dict[str, Any]]
     jobs: list[dict[str, Any]]
     lead: str | None
+    event_method: str | None
     neighbours: dict[str, str | None]
     exports: list[dict[str, str]]
 
@@ -56,15 +58,18 @@ def run_page(request: Request, run_id: str) -> Response:
         estimates = list(results.latest_by_method(session, run_id).values())
         jobs = [job_store.as_dict(j) for j in job_store.list_jobs(session, run_id=run_id, limit=5)]
         reasons = available(runs.load_run(session, settings, run_id))
-        case = _case(row, estimates, reasons, jobs, settings.data)
+        found = events.decided(session, run_id, {e.method: e.events for e in estimates})
+        case = _case(row, estimates, found, reasons, jobs, settings.data)
+        speaks = events_of(case.estimates)
         page = RunPage(
             title=row.name,
             sentence=verdict(case),
             run=_run(row),
-            estimates=[_estimate(e) for e in estimates],
+            estimates=[_estimate(e, found[e.method]) for e in estimates],
             methods=[_method(name, reason) for name, reason in reasons.items()],
             jobs=jobs,
             lead=lead_of(case.estimates).method if case.estimates else None,
+            event_method=speaks.method if speaks else None,
             neighbours=_neighbours(session, row),
             exports=_exports(row),
         )
@@ -72,12 +77,18 @@ def run_page(request: Request, run_id: str) -> Response:
 
 
 def _case(
-    row: Run, estimates: list[Estimate], reasons: dict[str, str | None], jobs: list[dict[str, Any]], data: Path
+    row: Run,
+    estimates: list[Estimate],
+    found: dict[str, list[events.Event]],
+    reasons: dict[str, str | None],
+    jobs: list[dict[str, Any]],
+    data: Path,
 ) -> Case:
     return Case(
         duration_s=row.duration_s,
         estimates=[
-            Judged(e.method, {m.name: m.value for m in e.metrics}, e.events, _final_sd(e, data)) for e in estimates
+            Judged(e.method, {m.name: m.value for m in e.metrics}, found[e.method], _final_sd(e, data))
+            for e in estimates
         ],
         reasons=reasons,
         has_truth=any(s.name == "truth" for s in row.streams),
@@ -125,14 +136,15 @@ def _stream(stream: Any) -> dict[str, Any]:
     }
 
 
-def _estimate(row: Estimate) -> dict[str, Any]:
+def _estimate(row: Estimate, found: list[events.Event]) -> dict[str, Any]:
     copied = ("id", "method", "config", "seed", "code_version", "run_sha256", "runtime_s", "final", "parameters")
     return {
         **{name: getattr(row, name) for name in copied},
         "created_at": row.created_at.isoformat(),
-        "events": row.events,
+        "events": found,
         "notes": row.notes,
         "columns": sorted(row.arrays),
+        "sensors": sorted((row.consistency or {}).get("sensors", ())),
         "metrics": results.metrics_of(row),
     }
 

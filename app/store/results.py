@@ -17,10 +17,12 @@ from app.store import arrays
 from app.store.provenance import config_hash
 
 SPARKLINE_POINTS = 64
-PREFERENCE = ("smoothed", "fused", "published", "encoders+gyro", "encoders", "beacon")
+PREFERENCE = ("fused", "smoothed", "published", "encoders+gyro", "encoders", "beacon")
 """Which path speaks for a run where no truth ranks them."""
 
-_COPIED = ("config", "seed", "code_version", "runtime_s", "arrays", "final", "parameters", "events", "notes")
+_COPIED = (
+    "config", "seed", "code_version", "runtime_s", "arrays", "final", "parameters", "events", "notes", "consistency",
+)  # fmt: skip
 
 
 def save_estimates(

@@ -7,17 +7,24 @@ path is aligned only where asked for, and every metric that can be computed is; 
 from core.metrics.alignment import ALIGNMENTS, Alignment
 from core.metrics.association import Match, match
 from core.metrics.consistency import Consistency, chi2_band, nees
+from core.metrics.innovations import InnovationCheck, NoiseAdvice, Running, Whiteness, check_innovations, running_nis
 from core.metrics.pose_error import PoseErrors, RelativeError, evaluate
 
 __all__ = [
     "ALIGNMENTS",
     "Alignment",
     "Consistency",
+    "InnovationCheck",
     "Match",
+    "NoiseAdvice",
     "PoseErrors",
     "RelativeError",
+    "Running",
+    "Whiteness",
+    "check_innovations",
     "chi2_band",
     "evaluate",
     "match",
     "nees",
+    "running_nis",
 ]
