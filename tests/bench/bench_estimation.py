@@ -55,7 +55,7 @@ def five_states(steps: int = 20_000) -> tuple[float, float, float]:
         x[:5] = kf.x
         after = motion(x, dt, 0.0, 0.0, c)
         F = jacobian(lambda z, dt=dt: motion(z, dt, 0.0, 0.0, c), x)[:5, :5]
-        Q = process_noise(after, dt, after[2] - x[2], after[5], c)[:5, :5]
+        Q = process_noise(x, dt, after[2] - x[2], after[5], c)[:5, :5]
         Q[2, 2] += c.q_pause * dt  # there is no gyro reading at all in this log
         H = jacobian(lambda z, a=a: expected(FIX, a, z, 0.0, c), after)[:, :5]
         z = a[:2] - expected(FIX, a, after, 0.0, c) + H @ after[:5]

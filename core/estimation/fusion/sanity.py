@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from core.estimation.assumptions import Assumptions
 from core.estimation.cleaning import gyro_readings
+from core.estimation.fusion.events import FARTHEST
 from core.estimation.fusion.start import LONGEST, fit_rigid
 from core.estimation.odometry import arcs, wheel_path
 from core.run import Run
@@ -160,7 +161,7 @@ def _fixes(run: Run, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
         return run, ()
     at, rows = stretch
     xy = np.column_stack((fixes.x, fixes.y)).astype(np.float64)[rows]
-    good = np.isfinite(xy).all(axis=1)
+    good = (np.abs(xy) <= FARTHEST).all(axis=1)
     if good.sum() < ENOUGH or np.ptp(at[good, :2], axis=0).max() < MOVED:
         return run, ()
     return _mirrored(run, at[good, :2], xy[good], numbers)
@@ -179,7 +180,8 @@ def _metres_per_metre(run: Run, numbers: Assumptions) -> float | None:
     if fixes is None or wheels is None or not robot.wheel_radius or len(fixes) < 2 * ENOUGH or len(wheels) < 2:
         return None
     path = wheel_path(wheels, robot.wheel_radius, robot.track_width)
-    x, y = np.asarray(fixes.x, np.float64)[:4000], np.asarray(fixes.y, np.float64)[:4000]
+    x, y = (np.asarray(column, np.float64)[:4000] for column in (fixes.x, fixes.y))
+    x, y = (np.where(np.abs(column) <= FARTHEST, column, np.nan) for column in (x, y))
     d = np.interp(fixes.t[:4000], path.t, path.d)
     k = int(np.clip(round(STRETCH / max(float(np.median(np.diff(fixes.t))), 1e-3)), 1, len(x) // 2))
     seen, rolled = np.hypot(x[k:] - x[:-k], y[k:] - y[:-k]), np.abs(d[k:] - d[:-k])
@@ -219,11 +221,11 @@ def _beacons(run: Run, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
     at, rows = stretch
     cos, sin = math.cos(start.theta), math.sin(start.theta)
     x, y = start.x + cos * at[:, 0] - sin * at[:, 1], start.y + sin * at[:, 0] + cos * at[:, 1]
-    names = [name for name in log.names if name in run.meta.beacons]
+    names = [n for n in log.names if n in run.meta.beacons and max(map(abs, run.meta.beacons[n])) <= FARTHEST]
     ranges, which = np.asarray(log.range, np.float64)[rows], log.beacon[rows]
 
     def misfit(name: str, place: str) -> float:
-        mine = (which == log.names.index(name)) & np.isfinite(ranges)
+        mine = (which == log.names.index(name)) & (np.abs(ranges) <= FARTHEST)
         bx, by, bz = run.meta.beacons[place]
         far = np.sqrt((x[mine] - bx) ** 2 + (y[mine] - by) ** 2 + (run.meta.robot.tag.z - bz) ** 2)
         return float(np.median(np.abs(ranges[mine] - far))) if mine.sum() >= ENOUGH // 2 else np.nan
