@@ -139,6 +139,37 @@ def predicted(kind: int, pose: Array, tag: Array, anchor: Array) -> tuple[float,
 
 
 @compiled
+def product(a: Array, b: Array, out: Array) -> None:
+    """out = a @ b, all (3, 3)."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+
+
+@compiled
+def inverse(a: Array, out: Array) -> None:
+    """out = the inverse of a symmetric (3, 3) matrix, by cofactors."""
+    c00, c01 = a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1], a[1, 2] * a[2, 0] - a[1, 0] * a[2, 2]
+    c02 = a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0]
+    det = a[0, 0] * c00 + a[0, 1] * c01 + a[0, 2] * c02
+    out[0, 0], out[0, 1], out[0, 2] = c00 / det, c01 / det, c02 / det
+    out[1, 0], out[2, 0] = out[0, 1], out[0, 2]
+    out[1, 1] = (a[0, 0] * a[2, 2] - a[0, 2] * a[2, 0]) / det
+    out[1, 2] = (a[0, 2] * a[1, 0] - a[0, 0] * a[1, 2]) / det
+    out[2, 1] = out[1, 2]
+    out[2, 2] = (a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]) / det
+
+
+@compiled
+def carry(p: Array, dx: float, dy: float, out: Array) -> None:
+    """out = F p, F the swing of a position by a heading error over (dx, dy)."""
+    for j in range(3):
+        out[0, j] = p[0, j] - dy * p[2, j]
+        out[1, j] = p[1, j] + dx * p[2, j]
+        out[2, j] = p[2, j]
+
+
+@compiled
 def smooth_poses(
     increments: Array,
     kinds: npt.NDArray[np.int64],
@@ -161,16 +192,21 @@ def smooth_poses(
     post, cov = np.empty((events, 3)), np.empty((events, 3, 3))
     prior, prior_cov = np.empty((events, 3)), np.empty((events, 3, 3))
     swings = np.empty((events, 2))
-    pose, p = start.copy(), np.diag(start_sd**2)
+    pose, p = start.copy(), np.zeros((3, 3))
+    left, gain, ph = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    for a in range(3):
+        p[a, a] = start_sd[a] * start_sd[a]
     for i in range(events):
         moved = step(pose, increments[i])
         dx, dy = moved[0] - pose[0], moved[1] - pose[1]
         way = np.sqrt(dx * dx + dy * dy) + TURN_WAY * abs(increments[i, 2])
         pose = moved
-        f = np.eye(3)
-        f[0, 2], f[1, 2] = -dy, dx
-        swings[i] = np.array((dx, dy))
-        p = f @ p @ f.T
+        swings[i, 0], swings[i, 1] = dx, dy
+        carry(p, dx, dy, left)
+        for a in range(3):
+            p[a, 0] = left[a, 0] - dy * left[a, 2]
+            p[a, 1] = left[a, 1] + dx * left[a, 2]
+            p[a, 2] = left[a, 2]
         q = walk * walk * way + 1e-12
         p[0, 0] += SIDE * SIDE * q
         p[1, 1] += SIDE * SIDE * q
@@ -178,27 +214,35 @@ def smooth_poses(
         prior[i], prior_cov[i] = pose, p
         if kinds[i] >= 0 and np.isfinite(values[i]):
             far, h0, h1, h2 = predicted(kinds[i], pose, tag, anchors[i])
-            h = np.array((h0, h1, h2))
             e = values[i] - far
             if kinds[i] == 2:
                 e = (e + np.pi) % (2.0 * np.pi) - np.pi
-            ph = p @ h
-            s = h @ ph + variance[i]
+            for a in range(3):
+                ph[a] = p[a, 0] * h0 + p[a, 1] * h1 + p[a, 2] * h2
+            spread = h0 * ph[0] + h1 * ph[1] + h2 * ph[2]
+            s = spread + variance[i]
             ratio = abs(e) / np.sqrt(s)
             if ratio > gate:
-                s = h @ ph + variance[i] * (ratio / gate) ** 2
-            k = ph / s
-            pose = pose + k * e
-            p = p - np.outer(k, ph)
+                s = spread + variance[i] * (ratio / gate) ** 2
+            for a in range(3):
+                pose[a] += ph[a] / s * e
+                for b in range(3):
+                    p[a, b] -= ph[a] * ph[b] / s
         post[i], cov[i] = pose, p
     sd = np.empty((events, 3))
     for i in range(events - 1, -1, -1):
         if i < events - 1:
-            f = np.eye(3)
-            f[0, 2], f[1, 2] = -swings[i + 1, 1], swings[i + 1, 0]
-            g = np.linalg.solve(prior_cov[i + 1], f @ cov[i]).T
-            post[i] = post[i] + g @ (post[i + 1] - prior[i + 1])
-            cov[i] = cov[i] + g @ (cov[i + 1] - prior_cov[i + 1]) @ g.T
+            carry(cov[i], swings[i + 1, 0], swings[i + 1, 1], left)
+            inverse(prior_cov[i + 1], p)
+            product(p, left, gain)  # transposed
+            for a in range(3):
+                for b in range(3):
+                    post[i, a] += gain[b, a] * (post[i + 1, b] - prior[i + 1, b])
+                    p[a, b] = cov[i + 1, a, b] - prior_cov[i + 1, a, b]
+            product(p, gain, left)
+            for a in range(3):
+                for b in range(3):
+                    cov[i, a, b] += gain[0, a] * left[0, b] + gain[1, a] * left[1, b] + gain[2, a] * left[2, b]
         for a in range(3):
             sd[i, a] = cov[i, a, a]
     return post, sd

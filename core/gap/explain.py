@@ -78,13 +78,22 @@ def explain(problem: Problem, tried: Sequence[Candidate], progress: Progress = s
     if lost is not None:
         held = {"missed_ticks": lost.fit.model["missed_ticks"]}
         other = search(_driven(lost, held), rest, "body")
-        honest = search(_driven(lost, {}), rest, "body") if set(other.fit.model) & set(KINEMATIC) else None
-        if honest is not None and not set(honest.fit.model) & set(KINEMATIC):
+        honest = search(_driven(lost, {}), rest, "body") if _makes_up(other.fit.model) else None
+        if honest is not None and not _makes_up(honest.fit.model):
             body = honest  # the body moves as the encoders say: they miss nothing, the motors differ
         elif _price(lost, other) < _price(wheels, body):
             wheels, body = lost, other
     progress(0.55, "looking at what is left")
     return _finish(wheels, body, tried)
+
+
+def _makes_up(model: EffectSet) -> bool:
+    """Whether wheels of other sizes, beyond tolerance, are part of a model."""
+    for name in KINEMATIC:
+        for parameter in EFFECTS[name].parameters if name in model else ():
+            if abs(float(model[name][parameter.name]) - 1.0) > (parameter.small or 0.0):
+                return True
+    return False
 
 
 def _driven(wheels: Found, held: EffectSet) -> Problem:

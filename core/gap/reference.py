@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import numpy.typing as npt
 
+from core.effects import EFFECTS, complete
 from core.gap._pose_numba import smooth_poses
 from core.robot import EffectSet, Pose
 from core.run import Run
@@ -21,18 +22,21 @@ WINDOW = 2.0
 WALK = 0.03
 """How far a heading is trusted to stray from dead reckoning [rad per root of m]."""
 GATE = 3.0
-HELD = 0.5
-"""A reference further from a window's start than this [s] does not count."""
+FREE = ("kinematics", "ground")
+"""Families that act between wheels and body."""
 
 
-def restarts_of(run: Run, window: float = WINDOW) -> Array:
-    """(K, 4) t, x, y, theta at every window's start. Empty where nothing tells the pose."""
+def restarts_of(run: Run, window: float = WINDOW, model: EffectSet | None = None) -> Array:
+    """(K, 4) t, x, y, theta at every window's start. Empty where nothing tells the pose.
+
+    model: effects by which fixes, ranges and dead reckoning are set right first, where there is no truth.
+    """
     truth = run.truth
     if truth is not None and truth.x is not None and truth.y is not None and truth.theta is not None and len(truth) > 1:
         return _from_truth(truth.t, np.column_stack((truth.x, truth.y, np.unwrap(truth.theta))), window)
     if run.beacon is None and run.ranges is None and (truth is None or truth.x is None):
         return np.empty((0, 4))
-    return _smoothed(run, window)
+    return _smoothed(corrected(run, model or {}), window, model or {})
 
 
 def _from_truth(t: Array, poses: Array, window: float) -> Array:
@@ -45,7 +49,35 @@ def _from_truth(t: Array, poses: Array, window: float) -> Array:
     return np.column_stack((t[first], poses[first])).astype(np.float64)
 
 
-def _smoothed(run: Run, window: float) -> Array:
+def corrected(run: Run, model: EffectSet) -> Run:
+    """The run with its fixes and ranges as they would be without the model's beacon effects."""
+    values = complete({**run.meta.effects, **model})
+
+    def of(effect: str, name: str) -> float:
+        return float(values[effect][name])
+
+    delay, scale, angle = of("beacon_delay", "delay"), of("beacon_scale", "scale"), of("beacon_rotation", "angle")
+    robot, places = run.meta.robot, dict(run.meta.beacons)
+    tag = dataclasses.replace(robot.tag, x=robot.tag.x + of("tag_offset", "x"), y=robot.tag.y + of("tag_offset", "y"))
+    moved = str(values["anchor_moved"]["beacon"])
+    if moved in places:
+        at = places[moved]
+        places[moved] = (at[0] + of("anchor_moved", "x"), at[1] + of("anchor_moved", "y"), at[2])
+    meta = dataclasses.replace(run.meta, robot=dataclasses.replace(robot, tag=tag), beacons=places)
+    beacon, ranges = run.beacon, run.ranges
+    if beacon is not None:
+        x, y = (beacon.x - of("beacon_shift", "x")) / scale, (beacon.y - of("beacon_shift", "y")) / scale
+        c, s = np.cos(angle), np.sin(angle)
+        theta = None if beacon.theta is None else beacon.theta - angle
+        beacon = dataclasses.replace(beacon, t=beacon.t - delay, x=c * x + s * y, y=c * y - s * x, theta=theta)
+    if ranges is not None:
+        ranges = dataclasses.replace(
+            ranges, t=ranges.t - delay, range=(ranges.range - of("range_bias", "bias")) / scale
+        )
+    return dataclasses.replace(run, meta=meta, beacon=beacon, ranges=ranges)
+
+
+def _smoothed(run: Run, window: float, model: EffectSet) -> Array:
     """Dead reckoning (wheels before commands), drawn to fixes and ranges."""
     kinds, t, values, variance, anchors = _events(run)
     if not len(t):
@@ -60,7 +92,16 @@ def _smoothed(run: Run, window: float) -> Array:
     start, sd = _start(run)
     par_tag = np.array([run.meta.robot.tag.x, run.meta.robot.tag.y, run.meta.robot.tag.z])
     poses, _ = smooth_poses(
-        _increments(run, stamps), kinds.astype(np.int64), values, variance, par_tag, anchors, start, sd, WALK, GATE
+        _increments(run, stamps, model),
+        kinds.astype(np.int64),
+        values,
+        variance,
+        par_tag,
+        anchors,
+        start,
+        sd,
+        WALK,
+        GATE,
     )
     chosen = kinds < 0
     return np.column_stack((stamps[chosen], poses[chosen]))
@@ -106,17 +147,17 @@ def _start(run: Run) -> tuple[Array, Array]:
     return np.zeros(3), np.array([5.0, 5.0, 2.0])
 
 
-def _increments(run: Run, stamps: Array) -> Array:
+def _increments(run: Run, stamps: Array, model: EffectSet) -> Array:
     """(E, 3) motion in the body's own frame since the stamp before, by dead reckoning from the map's origin."""
-    effects: EffectSet = {}
+    moving = {name: values for name, values in model.items() if EFFECTS[name].family in FREE}
     source = dataclasses.replace(run, imu=None, beacon=None, ranges=None, truth=None)
     if run.wheels is not None and len(run.wheels) > 1:
         drive = dataclasses.replace(source, commands=None)
         meta = dataclasses.replace(run.meta, effects={})
     else:
-        drive, meta = source, run.meta
+        drive, meta, moving = source, run.meta, {k: v for k, v in model.items() if not EFFECTS[k].noise_only}
     inputs = prepare(drive)._replace(truth=stamps, wheels=np.empty(0))
-    out, _ = simulate_sets(inputs, P.pack(meta, effects, start=Pose())[None, :], parallel=False)
+    out, _ = simulate_sets(inputs, P.pack(meta, moving, start=Pose())[None, :], parallel=False)
     x, y, theta = out.x[0], out.y[0], out.theta[0]
     dx, dy = np.diff(x, prepend=x[:1]), np.diff(y, prepend=y[:1])
     before = np.concatenate((theta[:1], theta[:-1]))

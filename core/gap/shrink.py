@@ -20,6 +20,7 @@ from core.gap.whiten import windows_of
 from core.gap.world import WHEELS, World
 from core.robot import EffectSet
 from core.simulation import params as P
+from core.simulation._batch_numba import Inputs
 from core.simulation.inputs import prepare
 from core.simulation.simulate import simulate_sets
 
@@ -48,14 +49,21 @@ class Replay:
     values: Mapping[str, Array]
 
 
-def replay(world: World, sets: Sequence[EffectSet], floor: Floor) -> list[Replay]:
-    """The run against its simulator with each of these effect sets."""
+def replay_inputs(world: World) -> Inputs | None:
+    """What `replay` drives: to prepare once where one run is replayed many times. None where wheels drive."""
+    if world.run.commands is None:
+        return None
+    return prepare(world.run, world.restarts)._replace(truth=world.stamps)
+
+
+def replay(world: World, sets: Sequence[EffectSet], floor: Floor, inputs: Inputs | None = None) -> list[Replay]:
+    """The run against its simulator with each of these effect sets. inputs: of `replay_inputs`, if at hand."""
     run = world.run
     sheet = {**floor.sigma, **stated(run)}
-    if run.commands is None:
+    inputs = inputs or replay_inputs(world)
+    if inputs is None:
         outs = world.body(sets)
     else:
-        inputs = prepare(run, world.restarts)._replace(truth=world.stamps)
         packed = np.stack([P.pack(run.meta, one) for one in sets])
         outs, _ = simulate_sets(inputs, packed)
         limit = packed[:, P.GYRO_CLIP, None]
@@ -122,6 +130,16 @@ def figures(
     known = [d for d in draws if d is not None]
     ci = (float(np.quantile(known, 0.05)), float(np.quantile(known, 0.95))) if shrink is not None and known else None
     return Gap(total, shrink, ci, held_out, by_stream), before
+
+
+def scored(world: World, floor: Floor, before: Replay, after: Replay, effects: EffectSet) -> Gap:
+    """The gap of one run between two replays of it, without an interval; effects: those of the later one."""
+    names = world.channels
+    level = floors(world, floor)
+    louder = {name for effect in effects if effect in NOISES for name in NOISES[effect]}
+    sums = _block_sums(before, after, names)[None]
+    total, shrink, by = _gap(sums, names, np.array([level[name] for name in names]), louder, [world], floor)
+    return Gap(total, shrink, None, False, by)
 
 
 def _blocks(
