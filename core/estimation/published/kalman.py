@@ -11,6 +11,10 @@ from filterpy.kalman import ExtendedKalmanFilter
 Array = npt.NDArray[np.float64]
 
 
+ABSURD = 1e9
+"""A fix further off than this [m] is none; its square would overflow."""
+
+
 class PoseFilter:
     """filterpy's extended Kalman filter on x, y, theta; tag (2,) is the beacon receiver in the body."""
 
@@ -54,6 +58,8 @@ class PoseFilter:
     def distance(self, z: Array, R: Array) -> float:
         """Squared innovation over its covariance."""
         y = _residual(z, self.expected(len(z)))
+        if not np.abs(y).max() < ABSURD:
+            return math.inf
         H = self._jacobian(len(z))
         return float(y @ np.linalg.solve(H @ self.covariance @ H.T + R, y))
 
