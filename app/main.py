@@ -14,11 +14,12 @@ from starlette.responses import Response
 from starlette.staticfiles import StaticFiles
 
 from app import errors, examples, housekeeping, jobs, login, openapi, paths
-from app.api import calibrations, consistency, estimates, files, imu, mappings, runs, streams, uploads
+from app.api import calibrations, consistency, estimates, files, imu, mappings, runs, sandbox, streams, uploads
 from app.api import jobs as job_api
 from app.db.migrate import migrate
 from app.db.session import make_engine
 from app.pages import PAGES
+from app.sandbox import cache as sandbox_cache
 from app.scene import api as scene_api
 from app.scene import proxy, source
 from app.security import Guard
@@ -35,6 +36,7 @@ API_ROUTERS: tuple[APIRouter, ...] = (  # under /api/v1
     consistency.router,
     imu.router,
     calibrations.router,
+    sandbox.router,
     job_api.router,
 )
 PAGE_ROUTERS: tuple[APIRouter, ...] = (login.router, proxy.router, *PAGES.values())  # at the root
@@ -44,6 +46,7 @@ SERVICES: tuple[Callable[[FastAPI], AbstractAsyncContextManager[None]], ...] = (
     housekeeping.service,
     examples.service,
     source.service,
+    sandbox_cache.service,
 )
 
 NOT_COMPRESSED = (*DEFAULT_EXCLUDED_CONTENT_TYPES, "application/vnd.apache.arrow.stream", "application/octet-stream")

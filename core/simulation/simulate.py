@@ -32,19 +32,20 @@ _BATCH_LOCK = threading.Lock()
 """One parallel batch at a time: numba's fallback thread pool must not be entered twice."""
 
 
-def simulate(run: Run, effects: EffectSet, seed: int, *, noise: bool = True) -> Run:
+def simulate(run: Run, effects: EffectSet, seed: int, *, noise: bool = True, inputs: Inputs | None = None) -> Run:
     """The run that a robot with these effects would have recorded, driven by the same commands.
 
     effects: added to those that `run.meta.effects` says the simulator already models (same id: these replace them).
     seed: of all noise. noise=False gives expected readings: no white noise, no random effect, encoders not rounded.
     Fixes and ranges that a beacon shadow swallows are left out. Columns that a planar simulator cannot move
     (az, gx, gy) read gravity and zero, temperature is passed through. The result keeps `run.meta`.
+    inputs: `prepare(run)`, where the same run is simulated many times; with restarts, the pose is set anew at these.
 
     Raises ParameterError (effects), MissingStreamError (robot, commands or beacon places missing).
     """
     par = P.pack(run.meta, effects)
     require(run, par)
-    out, _ = simulate_sets(prepare(run), par[None, :], parallel=False)
+    out, _ = simulate_sets(prepare(run) if inputs is None else inputs, par[None, :], parallel=False)
     wheels = _wheels(run, par, out, noise)
     imu = _imu(run, par, out, seed, noise)
     beacon, ranges = _beacon(run, par, out, seed, noise), _ranges(run, par, out, seed, noise)

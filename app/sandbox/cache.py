@@ -1,0 +1,133 @@
+"""The prepared stretches that are kept in memory, least recently used first to go; and the registered simulators."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections import OrderedDict
+from collections.abc import AsyncIterator
+from typing import Any
+
+from fastapi import FastAPI
+from sqlalchemy import Engine
+
+from app.db.session import reading
+from app.figures.path import of_estimate
+from app.sandbox.prepared import Prepared, make_prepared
+from app.settings import Settings
+from app.simulators import OURS, registered
+from app.store import results, runs
+from core.errors import ParameterError
+from core.run import Run, RunMeta
+from core.simulation.foreign import Foreign
+from core.simulation.scenarios import SCENARIOS
+
+KEPT = 8
+LONGEST_S = 1200.0
+"""A longer run is simulated in stretches of this unless another one is asked for [s]."""
+MOST_ROWS = 4_000_000
+"""Readings of one stretch, and of all that are kept together four times as many: bounds memory and time."""
+
+
+class Sandbox:
+    """Prepared stretches by source and window; thread-safe. One is made once, however many ask for it."""
+
+    def __init__(self, settings: Settings, engine: Engine) -> None:
+        self._settings, self._engine = settings, engine
+        self._kept: OrderedDict[tuple[str, str, float, float, str], Prepared] = OrderedDict()
+        self._lock, self._making = threading.Lock(), threading.Lock()
+        self._foreign: dict[str, Foreign] | None = None
+
+    def prepared(self, run: str | None, scenario: str | None, start: float | None, end: float | None) -> Prepared:
+        """The stretch from `start` to `end` [s]. Raises NotFoundError, ParameterError, MissingStreamError."""
+        whole, best = self._source(run, scenario)
+        t0, t1 = whole.span
+        start = t0 if start is None else min(max(start, t0), t1)
+        end = min(start + LONGEST_S, t1) if end is None else min(max(end, t0), t1)
+        if not end > start:
+            raise ParameterError(
+                f"the stretch ends at {end:g} s, before it starts", parameter="end", expected=f"> {start:g}", found=end
+            )
+        key = ("run" if run else "scenario", run or scenario or "", start, end, best[0] if best else "")
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key]
+        with self._making:
+            with self._lock:
+                if key in self._kept:
+                    return self._kept[key]
+            made = self._make(whole, start, end, recorded=run is not None, best=best)
+            with self._lock:
+                self._kept[key] = made
+                self._shrink()
+        return made
+
+    def meta(self, run: str | None, scenario: str | None) -> RunMeta:
+        """The description of a source. Raises NotFoundError, ParameterError."""
+        return self._source(run, scenario)[0].meta
+
+    def foreign(self, name: str | None) -> Foreign | None:
+        """A registered simulator, its process kept for the next call; None for our own. Raises ParameterError."""
+        if name is None or name == OURS:
+            return None
+        simulators = self.simulators()
+        if name not in simulators:
+            raise ParameterError(
+                f"there is no simulator {name!r}", parameter="simulator", expected=[OURS, *simulators], found=name
+            )
+        return simulators[name]
+
+    def simulators(self) -> dict[str, Foreign]:
+        """Those of DRIFTSCOPE_SIMULATORS, read once."""
+        with self._lock:
+            if self._foreign is None:
+                self._foreign = registered(self._settings.simulators)
+            return self._foreign
+
+    def _make(self, whole: Run, start: float, end: float, *, recorded: bool, best: Any) -> Prepared:
+        t0, t1 = whole.span
+        cut = whole if (start, end) == (t0, t1) else whole.crop(start, end)
+        rows = sum(len(log) for log in cut.logs().values())
+        if rows > MOST_ROWS:
+            raise ParameterError(
+                f"the stretch has {rows} readings; the sandbox takes up to {MOST_ROWS}: choose a shorter one",
+                parameter="end",
+                expected=MOST_ROWS,
+                found=rows,
+            )
+        return make_prepared(cut, (t0, t1), recorded=recorded, best=best)
+
+    def _shrink(self) -> None:
+        while len(self._kept) > 1 and (
+            len(self._kept) > KEPT or sum(p.rows for p in self._kept.values()) > 4 * MOST_ROWS
+        ):
+            self._kept.popitem(last=False)
+
+    def _source(self, run: str | None, scenario: str | None) -> tuple[Run, tuple[str, str, Any] | None]:
+        if (run is None) == (scenario is None):
+            raise ParameterError("expected either a run or a scenario", parameter="run", expected="run or scenario")
+        return self._stored(run) if run is not None else (self._scenario(scenario or ""), None)
+
+    def _stored(self, run_id: str) -> tuple[Run, tuple[str, str, Any] | None]:
+        with reading(self._engine) as session:
+            run = runs.load_run(session, self._settings, run_id)
+            estimates = results.latest_by_method(session, run_id)
+            method = next((m for m in results.PREFERENCE if m in estimates), None)
+            found = of_estimate(self._settings.data, estimates[method]) if method else None
+            return run, (found.method, found.label, found.columns) if found else None
+
+    @staticmethod
+    def _scenario(name: str) -> Run:
+        if name not in SCENARIOS:
+            raise ParameterError(
+                f"there is no scenario {name!r}", parameter="scenario", expected=list(SCENARIOS), found=name
+            )
+        return SCENARIOS[name].run()
+
+
+@contextlib.asynccontextmanager
+async def service(app: FastAPI) -> AsyncIterator[None]:
+    """The application's sandbox, as `app.state.sandbox`."""
+    app.state.sandbox = Sandbox(app.state.settings, app.state.engine)
+    yield

@@ -1,0 +1,175 @@
+"""A stretch of a run, or a scenario, made ready once so that every further simulation of it costs milliseconds."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from core.effects import EFFECTS
+from core.errors import DriftscopeError, MissingStreamError
+from core.gap.floor import Floor
+from core.gap.linear import Problem, with_floor
+from core.gap.reference import restarts_of
+from core.gap.shrink import NOISES, Replay, replay, replay_inputs, scored
+from core.gap.types import Gap
+from core.gap.world import CHANNELS, World, make_world
+from core.robot import EffectSet
+from core.run import Run
+from core.sensors import TruthLog
+from core.simulation import simulate
+from core.simulation._batch_numba import Inputs
+from core.simulation.foreign import Foreign, around
+from core.simulation.inputs import prepare
+
+Array = npt.NDArray[np.float64]
+
+PATH_STEP = 0.05
+"""Spacing of the simulated path where the run has no truth [s]."""
+SCENARIO = "a scenario was driven by nobody: there is nothing to hold it against"
+FOREIGN = "this simulator gives whole runs only; the gap sets its pose anew every 2 s"
+
+
+@dataclass(frozen=True)
+class Yardstick:
+    """What the gap number needs: the run in windows, its noise floor, the nominal simulator's replay."""
+
+    world: World
+    floor: Floor
+    inputs: Inputs | None
+    nominal: Replay
+
+    def gap(self, effects: EffectSet) -> Gap:
+        """Nominal against these effects, window by window."""
+        acting = {name: values for name, values in effects.items() if name not in NOISES}
+        after = replay(self.world, [acting], self.floor, self.inputs)[0] if acting else self.nominal
+        return scored(self.world, self.floor, self.nominal, after, effects)
+
+
+@dataclass
+class Prepared:
+    """`run`: the stretch as recorded (a scenario: stamps only). `driven`: the same with stamps for the whole path.
+
+    real: the recorded path's columns t, x, y, theta with its label, or None. yardstick: None where `no_gap` says why.
+    """
+
+    run: Run
+    recorded: bool
+    full: tuple[float, float]
+    driven: Run
+    inputs: Inputs
+    real: tuple[str, str, Mapping[str, Any]] | None
+    yardstick: Yardstick | None
+    no_gap: str | None
+    _nominal: dict[tuple[str, int, bool], Run] = field(default_factory=dict)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Columns that the simulator gives and the run has."""
+        return tuple(name for name in CHANNELS if _has(self.run, name))
+
+    @property
+    def rows(self) -> int:
+        """Readings in memory, about."""
+        return sum(len(log) * 4 for log in self.driven.logs().values())
+
+    def made(self, effects: EffectSet, seed: int, noise: bool, foreign: Foreign | None) -> Run:
+        """The stretch simulated with these effects. Raises as `simulate` or `around`."""
+        if foreign is not None:
+            return around(foreign, self.driven, effects, seed)
+        return simulate(self.driven, effects, seed, noise=noise, inputs=self.inputs)
+
+    def nominal(self, seed: int, noise: bool, foreign: Foreign | None) -> Run:
+        """The simulator as it is; kept until seed, noise or simulator change."""
+        key = (foreign.name if foreign else "", seed, noise)
+        with self._lock:
+            found = self._nominal.get(key)
+            if found is None:
+                found = self.made({}, seed, noise, foreign)
+                self._nominal = {key: found}
+            return found
+
+    def readings(self, made: Run, name: str) -> Array:
+        """(N,) a simulated column at the run's own stamps; NaN where the simulator has no reading."""
+        stream, column = name.split(".")
+        log, own = getattr(made, stream), getattr(self.run, stream)
+        values = np.asarray(getattr(log, column), np.float64)
+        if len(values) == len(own):
+            return values
+        out = np.full(len(own), np.nan)
+        out[np.searchsorted(own.t, log.t)] = values
+        return out
+
+    def idle(self) -> dict[str, str]:
+        """Effects that cannot show in this run, with the reason."""
+        channels, run = set(self.channels), self.run
+        out = {}
+        for effect in EFFECTS.values():
+            if effect.family == "drive" and run.commands is None:
+                out[effect.id] = "it acts on commands, which this run does not have"
+            elif not channels.intersection(effect.streams) and effect.id != "beacon_shadow":
+                out[effect.id] = f"it moves {', '.join(effect.streams)} only, which this run does not have"
+        if run.imu is not None and run.imu.temperature is None:
+            out["gyro_temperature"] = "it needs the IMU's temperature, which was not recorded"
+        if not run.meta.beacons:
+            out["anchor_moved"] = "this run has no beacons"
+        return out
+
+
+def make_prepared(
+    run: Run, full: tuple[float, float], *, recorded: bool, best: tuple[str, str, Any] | None
+) -> Prepared:
+    """A cropped run ready to be simulated. best: method, label and columns of its best path, where it has no truth.
+
+    Raises MissingStreamError where nothing can drive the simulator.
+    """
+    missing = [name for name in ("wheel_radius", "track_width") if getattr(run.meta.robot, name) is None]
+    if missing:
+        raise MissingStreamError(
+            f"the simulator needs the robot's {' and '.join(missing)}; add it to run.json",
+            method="sandbox",
+            missing=[f"robot.{name}" for name in missing],
+        )
+    truth = run.truth
+    whole = truth is not None and truth.x is not None and truth.y is not None and truth.theta is not None
+    driven = run if whole else dataclasses.replace(run, truth=_stamps_of_path(run, truth))
+    restarts = restarts_of(run) if recorded else np.empty((0, 4))
+    # a stretch out of the middle has no start: it is set down where the robot was
+    inputs = prepare(driven, restarts[:1] if run.meta.start is None and len(restarts) else None)
+    yardstick, why = _yardstick(run, restarts) if recorded else (None, SCENARIO)
+    real = best
+    if whole and recorded:
+        assert truth is not None
+        real = ("truth", "Truth", {"t": truth.t, "x": truth.x, "y": truth.y, "theta": truth.theta})
+    return Prepared(run, recorded, full, driven, inputs, real, yardstick, why)
+
+
+def _stamps_of_path(run: Run, truth: TruthLog | None) -> TruthLog:
+    t0, t1 = run.span
+    t = truth.t if truth is not None and len(truth) > 1 else np.arange(t0, t1 + PATH_STEP / 2, PATH_STEP)
+    blank = np.full(len(t), np.nan)
+    return TruthLog(t=t, x=blank, y=blank, theta=blank)
+
+
+def _yardstick(run: Run, restarts: Array) -> tuple[Yardstick | None, str | None]:
+    if not len(restarts):
+        return None, "no truth, fixes or ranges: nothing tells where the robot was"
+    try:
+        world = make_world(run, restarts)
+        floor = with_floor(Problem((world,), Floor({}, {}, {}), run.meta.effects), {}).floor
+        inputs = replay_inputs(world)
+        return Yardstick(world, floor, inputs, replay(world, [{}], floor, inputs)[0]), None
+    except DriftscopeError as error:
+        return None, error.message
+
+
+def _has(run: Run, name: str) -> bool:
+    stream, column = name.split(".")
+    log = getattr(run, stream)
+    return log is not None and len(log) > 0 and getattr(log, column) is not None
