@@ -26,7 +26,7 @@ from core.gap.linear import Problem, with_floor
 from core.gap.reference import restarts_of
 from core.gap.selection import WORTH
 from core.gap.shrink import NOISES, figures, floors, replay
-from core.gap.types import Cause, Config, Diagnosis, Immaterial, Place, Rejected, Unexplained, Unseen, Value
+from core.gap.types import Cause, Config, Diagnosis, Immaterial, Place, Rejected, Unexplained, Unseen, Value, Where
 from core.gap.unknown import depends_on, matters, rest_of, stream_of, touching, words
 from core.gap.where import where
 from core.gap.world import WHEELS, World, make_world
@@ -122,44 +122,51 @@ def conclude(
     floor = found.body.problem.floor
     small = {name: model[name] for name in model if name not in material}
     gap, _ = figures(kept or fitted_on, floor, {**small, **fitted, **noises}, noises, bool(kept), config.seed)
-    replays = [replay(world, [{}], floor)[0] for world in fitted_on]
-    place = _place_of(fitted | noises)
-    levels = floors(fitted_on[0], floor)
-    levels |= {name: 1.0 for effect in noises for name in NOISES[effect] if name in levels}
-    spots = where(fitted_on, replays, levels, place, {**fitted, **noises})
-    shares = _shares(found, material)
-    causes = [
-        Cause(name, p, shares.get(name, 0.0), values.get(name, {}), _confusable(name, found))
-        for name, p in sorted(chances.items(), key=lambda item: -(item[1] + shares.get(item[0], 0.0) * 1e-3))
-    ]
-    causes.sort(key=lambda one: (one.probability <= 0.5, -one.share if one.probability > 0.5 else -one.probability))
+    causes = _causes(found, chances, _shares(found, material), values)
     sure = [one for one in causes if one.probability > 0.5]
     verdict = "explained" if sure else "none"
     if unexplained is not None:
         verdict = "partly_explained" if sure else "unknown"
+    rest = {"none": SURE_NONE if verdict == "none" else 0.0, "unknown": SURE_NONE if unexplained is not None else 0.0}
+    rest["unknown"] = max(rest["unknown"], *doubt.values()) if doubt else rest["unknown"]
+    listed = (name for name in (*model, *noises) if name not in material and name in values)
     return Diagnosis(
         verdict=verdict,
-        where=spots if verdict != "none" else (),
-        causes=tuple(causes),
+        where=_spots(fitted_on, floor, {**fitted, **noises}, noises) if verdict != "none" else (),
+        causes=causes,
         gap=gap,
-        immaterial=tuple(
-            Immaterial(name, values[name]) for name in (*model, *noises) if name not in material and name in values
-        ),
+        immaterial=tuple(Immaterial(name, values[name]) for name in listed),
         unexplained=unexplained,
         next_experiment=next_experiment(fitted_on[0].run, {**fitted, **noises}, causes),
         rejected=_rejected(found, material, chances),
         unseen=unseen(found, reach),
-        probabilities={
-            **chances,
-            "none": SURE_NONE if verdict == "none" else 0.0,
-            "unknown": max(doubt.values(), default=0.0),
-        },
-        model={**model, **dict(noises.items())},
+        probabilities={**chances, **rest},
+        model={**model, **noises},
         noise={name: floor.sigma[name] / floor.sheet[name] for name in floor.sigma if name in floor.sheet},
         notes=_notes(floor),
         link=_link(sure, unexplained),
         runtime_s=0.0,
     )
+
+
+def _causes(
+    found: Search, chances: Mapping[str, float], shares: Mapping[str, float], values: Mapping[str, Mapping[str, Value]]
+) -> tuple[Cause, ...]:
+    """The joint explanation by share, then rivals by probability."""
+    causes = [
+        Cause(name, p, shares.get(name, 0.0), values.get(name, {}), _confusable(name, found))
+        for name, p in chances.items()
+    ]
+    causes.sort(key=lambda one: (one.probability <= 0.5, -one.share if one.probability > 0.5 else -one.probability))
+    return tuple(causes)
+
+
+def _spots(worlds: Sequence[World], floor: Floor, effects: EffectSet, noises: EffectSet) -> tuple[Where, ...]:
+    """Where the fitted runs leave their floor; of a louder sensor, its stated noise is the floor."""
+    replays = [replay(world, [{}], floor)[0] for world in worlds]
+    levels = floors(worlds[0], floor)
+    levels |= {name: 1.0 for effect in noises for name in NOISES[effect] if name in levels}
+    return where(worlds, replays, levels, _place_of(effects), effects)
 
 
 SURE_NONE = 0.95
