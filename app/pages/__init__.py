@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from fastapi import APIRouter
 
-from app.pages import about, calibration, calibrations, compare, guide, jobs, run, runs
+from app.pages import about, calibration, calibrations, compare, guide, jobs, run, runs, sandbox
 
 PAGES: dict[str, APIRouter] = {
     "runs": runs.router,
     "run": run.router,
     "compare": compare.router,
+    "sandbox": sandbox.router,
     "calibrations": calibrations.router,
     "calibration": calibration.router,
     "jobs": jobs.router,

@@ -36,6 +36,7 @@ class Place:
 RAIL = (
     Place("runs", "Runs", "/runs"),
     Place("compare", "Compare", "/compare"),
+    Place("sandbox", "Sandbox", "/sandbox"),
     Place("calibrations", "Calibrate", "/calibrations"),
     Place("jobs", "Jobs", "/jobs"),
     Place("guide", "Guide", "/guide"),

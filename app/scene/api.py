@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import json
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Request, Response, WebSocket
+from pydantic import BaseModel, ConfigDict, Field
 from starlette.websockets import WebSocketDisconnect
 
 from app.errors import NotFoundError, problem_of
@@ -23,6 +25,8 @@ router = APIRouter(tags=["scenes"])
 
 ViewerQuery = Annotated[str, Query(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
 MAX_MESSAGE = 4096
+MAX_OVERLAY = 5000
+Finite = Annotated[float, Field(allow_inf_nan=False, ge=-1e7, le=1e7)]
 
 
 @router.get("/scenes/{run}", summary="The 3D scene of a run: its viewers and their cursors")
@@ -31,6 +35,30 @@ async def get_scene(run: RunId, request: Request) -> dict[str, Any]:
     scene = scenes(request).get(run)
     viewers = await asyncio.to_thread(scene.states) if scene else []
     return {"run_id": run, "open": scene is not None, "page": f"/scene/{run}/", "viewers": viewers}
+
+
+class OverlayPath(BaseModel):
+    """A path that is not stored: seconds of the run, increasing, and metres in the map."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [{"t": [0.0, 1.0], "x": [0.0, 0.2], "y": [0.0, 0.0]}]})
+    t: list[Finite] = Field(min_length=2, max_length=MAX_OVERLAY)
+    x: list[Finite] = Field(min_length=2, max_length=MAX_OVERLAY)
+    y: list[Finite] = Field(min_length=2, max_length=MAX_OVERLAY)
+
+
+@router.put("/scenes/{run}/overlay", status_code=204, summary="A path beside the stored ones, for one viewer")
+def put_scene_overlay(run: RunId, request: Request, viewer: ViewerQuery, path: OverlayPath) -> None:
+    """Shown to this viewer in place of the one before, for as long as it looks. 404 where the scene is not open."""
+    import numpy as np
+
+    from app.scene.viewer import Overlay
+
+    scene = scenes(request).get(run)
+    if scene is None:
+        raise NotFoundError(f"nobody looks at a 3D scene of run {run}", what="scene", id=run)
+    if not len(path.t) == len(path.x) == len(path.y) or any(b <= a for a, b in itertools.pairwise(path.t)):
+        raise ParameterError("t, x and y must be of one length, t increasing", parameter="t")
+    scene.lay(viewer, Overlay(*(np.array(column, dtype=np.float64) for column in (path.t, path.x, path.y))))
 
 
 @router.get(

@@ -18,7 +18,7 @@ import viser
 from app.scene import build
 from app.scene.data import SceneData
 from app.scene.pool import KEY_HEADER, VIEWER_HEADER
-from app.scene.viewer import Listener, Viewer
+from app.scene.viewer import Listener, Overlay, Viewer
 
 T = TypeVar("T")
 
@@ -72,6 +72,10 @@ class Scene:
     def change(self, viewer: str, change: dict[str, Any], source: Listener | None = None) -> None:
         """Move a viewer's cursor."""
         self._post(lambda: self._viewer(viewer).change(change, source))
+
+    def lay(self, viewer: str, overlay: Overlay) -> None:
+        """Show a path that is not stored to one viewer."""
+        self._post(lambda: self._viewer(viewer).lay(overlay))
 
     def listen(self, viewer: str, listener: Listener) -> None:
         """A page joins a viewer; the listener is called on the scene's loop."""

@@ -9,19 +9,31 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import viser
 
 from app.scene import build, shapes
 from app.scene.cursor import Cursor
-from app.scene.data import FIXES, SceneData, ScenePath
+from app.scene.data import DEFAULT_TRACK_WIDTH, FIXES, SceneData, ScenePath
 from app.scene.panel import Panel
 from app.scene.style import THEMES, primary, slug
 
 TICK = 1 / 30  # s
+OVERLAY = (124, 91, 176)
 Listener = Callable[[dict[str, Any]], None]
+
+
+@dataclass(frozen=True)
+class Overlay:
+    """A path that is not stored (the sandbox's): t [s] increasing, x, y [m] in the map, each (N,)."""
+
+    t: npt.NDArray[np.float64]
+    x: npt.NDArray[np.float64]
+    y: npt.NDArray[np.float64]
 
 
 class Client:
@@ -35,6 +47,7 @@ class Client:
         self._variants: dict[str, list[viser.FrameHandle]] = {name: [] for name in THEMES}
         self._theme = ""
         self._leader: str | None = None
+        self._puck: viser.CylinderHandle | None = None
         self._anchor: tuple[float, float] | None = None  # where the followed robot was when following began
         scene = handle.scene
         self._world = scene.add_frame("/world", show_axes=False)
@@ -110,6 +123,26 @@ class Client:
             disc.scale = scale
         disc.wxyz = shapes.yaw(angle[0])
 
+    def lay(self, overlay: Overlay | None) -> None:
+        """A path that is not stored, as a page lays it in; the one before goes."""
+        if overlay is None:
+            return
+        scene, top = self.handle.scene, self._sizes.level(len(self._data.paths) + 1)
+        points = np.column_stack((overlay.x, overlay.y, np.full(len(overlay.x), top)))
+        pieces = np.stack((points[:-1], points[1:]), axis=1)
+        scene.add_line_segments("/world/overlay/path", pieces, OVERLAY, thickness=3.0, thickness_units="screen")
+        if self._puck is None:
+            size = (self._data.robot.track_width or DEFAULT_TRACK_WIDTH) * self._sizes.robot_scale
+            self._puck = scene.add_cylinder(
+                "/world/overlay/now", radius=0.35 * size, height=0.3 * size, color=OVERLAY, cast_shadow=False
+            )
+
+    def move_overlay(self, t: float, overlay: Overlay | None) -> None:
+        """Its marker to where it is at t."""
+        if overlay is not None and self._puck is not None:
+            x, y = (float(np.interp(t, overlay.t, column)) for column in (overlay.x, overlay.y))
+            self._puck.position = (x, y, 0.2 * (self._data.robot.track_width or DEFAULT_TRACK_WIDTH))
+
     def _follow(self, t: float, cursor: Cursor) -> None:
         """The world moves under the camera, so that the user's orbit and zoom stay his own."""
         path = next((p for p in self._data.paths if p.method == self._leader), None)
@@ -156,6 +189,7 @@ class Viewer:
         self._panels: dict[int, Panel] = {}
         self._listeners: list[Listener] = []
         self._timer: asyncio.TimerHandle | None = None
+        self._overlay: Overlay | None = None
         self._due = 0.0  # of the next tick, on the loop's clock
 
     @property
@@ -169,6 +203,8 @@ class Viewer:
             client = self._clients[handle.client_id] = Client(handle, self._data, self._sizes)
             client.dress(self.cursor)
             client.move(self.time(), self.cursor)
+            client.lay(self._overlay)
+            client.move_overlay(self.time(), self._overlay)
         if self._with_panel:
             self._panels[handle.client_id] = Panel(handle, self._data, self.cursor, self._by_panel)
         self._tell("scene")
@@ -204,6 +240,14 @@ class Viewer:
                     client.dress(self.cursor)
         self._tick()
         self._tell(by, source)
+
+    def lay(self, overlay: Overlay) -> None:
+        """Show this path beside the stored ones, in place of the one before."""
+        self._overlay = overlay
+        for client in self._clients.values():
+            with client.handle.atomic():
+                client.lay(overlay)
+                client.move_overlay(self.time(), overlay)
 
     def _by_panel(self, change: dict[str, Any]) -> None:
         self.change(change, by="panel")
@@ -251,6 +295,7 @@ class Viewer:
         for client in self._clients.values():
             with client.handle.atomic():
                 client.move(t, self.cursor)
+                client.move_overlay(t, self._overlay)
         if not self.cursor.playing:
             return
         if t >= self._data.t1:
