@@ -63,7 +63,9 @@ class NoiseFigures(Wire):
     factor: float | None
     low: float | None
     high: float | None
+    wide: float | None = Field(description="what the widest tenth of the readings call for")
     fits: bool
+    single: bool = Field(description="false: bulk and tail call for such different R that no single one fits")
 
 
 class RunningNis(Wire):
@@ -86,6 +88,7 @@ class SensorFigures(Wire):
     dof: int
     readings: int
     rejected: int
+    at_rest: int = Field(description="readings of wheels that stood, which tell nothing and are left out")
     mean: float | None = Field(description="mean NIS of accepted readings")
     band: tuple[float, float] | None
     whiteness: WhitenessFigures | None
@@ -117,9 +120,9 @@ class ConsistencyFigure(Wire):
             "sensors": [
                 {
                     "sensor": "beacon.position", "label": "fixes", "dof": 2, "readings": 612, "rejected": 3,
-                    "mean": 1.96, "band": [1.82, 2.18],
+                    "at_rest": 0, "mean": 1.96, "band": [1.82, 2.18],
                     "whiteness": {"autocorrelation": [0.02], "limit": 0.08, "p_value": 0.61, "effective": 600.0},
-                    "advice": {"factor": 0.97, "low": 0.88, "high": 1.06, "fits": True},
+                    "advice": {"factor": 0.97, "low": 0.88, "high": 1.06, "wide": 1.0, "fits": True, "single": True},
                     "running": {
                         "t": [1.0], "mean": [1.9], "window": 10, "band": [0.96, 3.42], "readings": 612, "rejected": 3,
                         "rejected_t": [4.2],

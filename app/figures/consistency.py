@@ -97,13 +97,18 @@ def _noise(sensors: Mapping[str, Any]) -> str:
     wrong = {name: a for name, a in advised.items() if not a["fits"]}
     if not wrong:
         return "Every sensor is about as noisy as the filter expects."
-    name = max(wrong, key=lambda n: abs(np.log(max(wrong[n]["factor"], 1e-9))))
-    a = wrong[name]
-    size = significant(float(a["factor"]) ** 0.5, 2)
-    times = f"{significant(a['factor'], 2)} times ({significant(a['low'], 2)} to {significant(a['high'], 2)})"
+    name = min(wrong, key=lambda n: (not wrong[n]["single"], -abs(np.log(max(wrong[n]["factor"], 1e-9)))))
     others = f" {len(wrong) - 1} more of {len(advised)} sensors do not fit." if len(wrong) > 1 else ""
-    what = label(name).capitalize()
-    return f"{what} stray {size} times as far as the filter expects: R should be about {times}.{others}"
+    return f"{label(name).capitalize()} {_advice(wrong[name])}.{others}"
+
+
+def _advice(a: Mapping[str, Any]) -> str:
+    factor, low, high = (significant(a[k], 2) for k in ("factor", "low", "high"))
+    if not a["single"]:
+        wide = significant(a["wide"], 2)
+        return f"are not spread evenly: half of them call for {factor} times R, the widest tenth for {wide} times"
+    size = significant(float(a["factor"]) ** 0.5, 2)
+    return f"stray {size} times as far as the filter expects: R should be about {factor} times ({low} to {high})"
 
 
 def _white(sensors: Mapping[str, Any]) -> str:

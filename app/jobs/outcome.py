@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from core.estimation.result import Estimate
+from core.estimation.result import Estimate, Innovations
 from core.metrics import Consistency, check_innovations, evaluate, nees
 from core.metrics.pose_error import PoseErrors
 from core.run import Run
@@ -16,16 +16,19 @@ from core.trajectory import Trajectory
 
 Columns = dict[str, npt.NDArray[Any]]
 
+TURNING = 0.02  # rad/s, below which a wheel stands
+
 
 def outcome_of(run: Run, estimate: Estimate, runtime_s: float) -> dict[str, Any]:
     """Everything that is kept: method, columns, final, metrics, parameters, events, notes, runtime_s."""
     path = estimate.trajectory
     errors = evaluate(path, run.truth) if run.truth is not None and len(path) else None
     claim = claimed_consistency(run, path)
-    columns = {**_path_columns(path), **_bias_columns(estimate), **_error_columns(errors), **_nis(estimate)}
+    columns = {**_path_columns(path), **_bias_columns(estimate), **_error_columns(errors)}
+    sensors, at_rest = judged_innovations(run, estimate)
     return {
         "method": estimate.method,
-        "columns": {**columns, **_nees(claim)},
+        "columns": {**columns, **_nis(sensors), **_nees(claim)},
         "final": final_pose(path),
         "metrics": [
             {"name": name, "value": finite(value), "unit": unit}
@@ -40,14 +43,39 @@ def outcome_of(run: Run, estimate: Estimate, runtime_s: float) -> dict[str, Any]
             for e in estimate.events
         ],
         "notes": list(estimate.notes),
-        "consistency": consistency(estimate, claim),
+        "consistency": consistency(sensors, at_rest, claim),
         "runtime_s": runtime_s,
     }
 
 
-def consistency(estimate: Estimate, claim: Consistency | None) -> dict[str, Any]:
+def judged_innovations(run: Run, estimate: Estimate) -> tuple[dict[str, Innovations], dict[str, int]]:
+    """Innovations per sensor without those of wheels that stand, and how many these are.
+
+    A standing wheel reads what was predicted, exactly: it says nothing of the noise of a turning one.
+    """
+    kept, at_rest = {}, {}
+    for name, i in estimate.innovations.items():
+        rows = _turning(run, i.t) if name.startswith("wheels.") else np.ones(len(i.t), bool)
+        kept[name] = Innovations(i.t[rows], i.nis[rows], i.dof, i.accepted[rows])
+        at_rest[name] = int(np.sum(~rows))
+    return kept, at_rest
+
+
+def _turning(run: Run, t: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+    """Whether a wheel turned between the readings around t (N,)."""
+    if run.wheels is None or len(run.wheels) < 2:
+        return np.ones(len(t), bool)
+    step = np.maximum(np.abs(np.diff(run.wheels.left)), np.abs(np.diff(run.wheels.right)))
+    turns = step > TURNING * np.diff(run.wheels.t)
+    found: npt.NDArray[np.bool_] = turns[np.clip(np.searchsorted(run.wheels.t, t) - 1, 0, len(turns) - 1)]
+    return found
+
+
+def consistency(
+    innovations: dict[str, Innovations], at_rest: dict[str, int], claim: Consistency | None
+) -> dict[str, Any]:
     """Whether the method knows its own errors: per sensor by its innovations, and by NEES where there is truth."""
-    sensors = {name: _sensor(i.nis, i.dof, i.accepted) for name, i in estimate.innovations.items()}
+    sensors = {n: {**_sensor(i.nis, i.dof, i.accepted), "at_rest": at_rest[n]} for n, i in innovations.items()}
     judged = None
     if claim is not None:
         judged = {"dof": claim.dof, "mean": finite(claim.mean), "band": list(claim.band), "inside": claim.inside}
@@ -71,7 +99,11 @@ def _sensor(nis: npt.NDArray[np.float64], dof: int, accepted: npt.NDArray[np.boo
             "effective": finite(white.effective),
         },
         "advice": advice
-        and {**{name: finite(getattr(advice, name)) for name in ("factor", "low", "high")}, "fits": advice.fits},
+        and {
+            **{name: finite(getattr(advice, name)) for name in ("factor", "low", "high", "wide")},
+            "fits": advice.fits,
+            "single": advice.single,
+        },
     }
 
 
@@ -142,9 +174,9 @@ def _error_columns(errors: PoseErrors | None) -> Columns:
     return {"error_t": errors.t, **{name: getattr(errors, name) for name in names}}
 
 
-def _nis(estimate: Estimate) -> Columns:
+def _nis(sensors: dict[str, Innovations]) -> Columns:
     columns: Columns = {}
-    for sensor, innovation in estimate.innovations.items():
+    for sensor, innovation in sensors.items():
         columns[f"nis_{sensor}_t"], columns[f"nis_{sensor}"] = innovation.t, innovation.nis.astype(np.float32)
         columns[f"nis_{sensor}_accepted"] = innovation.accepted.astype(np.uint8)
     return columns

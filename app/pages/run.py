@@ -34,8 +34,8 @@ TRUTH_EXPORTS = (
 @dataclass(frozen=True)
 class RunPage(Page):
     """`run`, `estimates` (newest per method), `methods` (why each cannot run, else None), `jobs` (newest first), `lead`
-    (the method that speaks for the run), `event_method` (whose events are the run's), `neighbours` (ids of the newer and
-    the older run), `exports`.
+    (the method that speaks for the run), `event_method` (whose events are the run's), `neighbours` (ids of the newer
+    and the older run), `exports`.
     """
 
     template: ClassVar[str] = "run.html"

@@ -3,6 +3,7 @@
 /world                        a viewer's own frame: moved, it is the follow camera
   ground/{light,dark}         grid sized to the data, its pitch as a label, the map's axes
   beacons/{name}              mast, head and label at the surveyed height
+  events/{n}                  a pin with its name where the run's path was when something happened
   fixes                       raw beacon fixes, switched like a method
   methods/{method}            what a viewer switches on and off
     {light,dark}              path (at most 20,000 segments) and two-sigma ellipses along it
@@ -21,10 +22,12 @@ import numpy as np
 import viser
 
 from app.scene import shapes
-from app.scene.data import DEFAULT_TRACK_WIDTH, DEFAULT_WHEEL_RADIUS, SceneData, ScenePath
-from app.scene.style import BEACON, FIXES, THEME, THEMES, slug, stroke
+from app.scene.data import DEFAULT_TRACK_WIDTH, DEFAULT_WHEEL_RADIUS, SceneData, SceneEvent, ScenePath
+from app.scene.style import BEACON, EVENT_OTHER, EVENTS, FIXES, THEME, THEMES, slug, stroke
 
 MAX_BEACONS = 200
+MAX_EVENTS = 200
+MAX_NAMED = 24  # events whose names can still be read beside each other
 CANDIDATES = 240  # rows of a path where an ellipse may stand
 WIDEST = 0.2  # half axis of the widest ellipse drawn, as a share of the scene
 SIGMAS = 2.0
@@ -73,6 +76,8 @@ def add_run(server: viser.ViserServer, data: SceneData, theme: str | None = None
             add_ground(scene, f"/world/ground/{name}", sizes, name)
         for name, position in list(data.beacons.items())[:MAX_BEACONS]:
             add_beacon(scene, f"/world/beacons/{slug(name)}", name, position, sizes)
+        for i, event in enumerate(data.events[:MAX_EVENTS]):
+            add_event(scene, f"/world/events/{i}", event, sizes, named=len(data.events) <= MAX_NAMED)
         if len(data.fixes):
             _add_fixes(scene, data, sizes)
         for layer, path in enumerate(data.paths):
@@ -123,6 +128,20 @@ def add_beacon(
     scene.add_icosphere(f"{name}/head", radius=sizes.unit * 0.9, color=BEACON, position=(0, 0, z), cast_shadow=False)
     text = f"{label}  {z:g} m" if z else label
     scene.add_label(f"{name}/label", text, position=(0, 0, z + sizes.unit * 1.4), anchor="bottom-center")
+
+
+def add_event(scene: viser.SceneApi, name: str, event: SceneEvent, sizes: Layout, *, named: bool) -> None:
+    """A pin with the event's name: an edged head for what befell robot or wheels, a round one for beacon and place."""
+    colour, corners = EVENTS.get(event.kind, EVENT_OTHER)
+    unit = sizes.unit
+    pin = np.array([[[0, 0, 0], [0, 0, 2.2 * unit]]], np.float32)
+    scene.add_frame(name, show_axes=False, position=(event.x, event.y, 0.0))
+    scene.add_line_segments(f"{name}/pin", pin, colour, thickness=1.5, thickness_units="screen")
+    scene.add_icosphere(f"{name}/head", radius=0.7 * unit, color=colour, subdivisions=corners,
+                        flat_shading=corners < 3, position=(0, 0, 2.8 * unit), cast_shadow=False)  # fmt: skip
+    if named:
+        text = f"{event.kind.replace('_', ' ')}  {event.t0:.1f} s"
+        scene.add_label(f"{name}/label", text, position=(0, 0, 3.8 * unit), anchor="bottom-center")
 
 
 def _add_fixes(scene: viser.SceneApi, data: SceneData, sizes: Layout) -> None:

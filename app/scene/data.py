@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -74,6 +75,16 @@ class ScenePath:
 
 
 @dataclass(frozen=True)
+class SceneEvent:
+    """Something that happened, as it stands in the scene: kind, onset [s], where the path was then [m]."""
+
+    kind: str
+    t0: float
+    x: float
+    y: float
+
+
+@dataclass(frozen=True)
 class SceneData:
     """One run as the 3D view needs it. `revision` changes whenever what is shown would change."""
 
@@ -86,6 +97,7 @@ class SceneData:
     fixes: Floats = field(default_factory=lambda: np.zeros((0, 2)))  # (M, 2) raw beacon fixes x, y
     robot: RobotParams = field(default_factory=RobotParams)
     revision: str = ""
+    events: tuple[SceneEvent, ...] = ()
 
     @property
     def methods(self) -> tuple[str, ...]:
@@ -107,6 +119,12 @@ def from_core(
     t0, t1 = run.span
     name, beacons = run.meta.name or run_id, dict(run.meta.beacons)
     return SceneData(run_id, name, t0, t1, tuple(paths), beacons, fixes_of(run), run.meta.robot)
+
+
+def events_on(path: ScenePath, events: Iterable[Mapping[str, Any]]) -> tuple[SceneEvent, ...]:
+    """Events ({kind, t0}) where the path was when they began; those at an unknown place are left out."""
+    placed = [(str(e["kind"]), float(e["t0"]), *path.pose_at(float(e["t0"]))[:2]) for e in events]
+    return tuple(SceneEvent(*row) for row in placed if math.isfinite(row[2]) and math.isfinite(row[3]))
 
 
 def truth_path(run: Run) -> ScenePath | None:

@@ -11,10 +11,11 @@ from sqlalchemy import Engine
 
 from app.db.session import reading
 from app.figures import path as figures
-from app.scene.data import SceneData, ScenePath, Spread, fixes_of, truth_path
+from app.scene.data import SceneData, SceneEvent, ScenePath, Spread, events_on, fixes_of, truth_path
 from app.scene.pool import Scenes
+from app.scene.style import primary
 from app.settings import Settings
-from app.store import results, runs
+from app.store import events, results, runs
 
 
 @contextlib.asynccontextmanager
@@ -29,11 +30,12 @@ async def service(app: FastAPI) -> AsyncIterator[None]:
 
 
 def revision(engine: Engine, run_id: str) -> str:
-    """Changes whenever the run's scene would: new estimates, another name. NotFoundError."""
+    """Changes whenever the run's scene would: new estimates, another name, an event dismissed. NotFoundError."""
     with reading(engine) as session:
         run = runs.get_run(session, run_id)
         estimates = results.latest_by_method(session, run_id)
-        return " ".join([run.name, *(f"{e.id}@{e.created_at.isoformat()}" for e in estimates.values())])
+        gone = [f"{e['method']}:{e['id']}" for e in events.list_events(session, run_id) if e["decision"] == "dismissed"]
+        return " ".join([run.name, *(f"{e.id}@{e.created_at.isoformat()}" for e in estimates.values()), *gone])
 
 
 def load(engine: Engine, settings: Settings, run_id: str) -> SceneData:
@@ -44,10 +46,22 @@ def load(engine: Engine, settings: Settings, run_id: str) -> SceneData:
         run = runs.load_run(session, settings, run_id)
         estimates = results.latest_by_method(session, run_id).values()
         sources = [figures.of_estimate(settings.data, estimate) for estimate in estimates]
+        found = events.list_events(session, run_id)
     truth = truth_path(run)
     paths = ([truth] if truth else []) + [_path(source) for source in sources if len(source.columns["t"])]
     t0, t1 = run.span
-    return SceneData(run_id, name, t0, t1, tuple(paths), dict(run.meta.beacons), fixes_of(run), run.meta.robot, current)
+    shown = _events([p for p in paths if p.method != "truth"], found)
+    return SceneData(
+        run_id, name, t0, t1, tuple(paths), dict(run.meta.beacons), fixes_of(run), run.meta.robot, current, shown
+    )
+
+
+def _events(paths: list[ScenePath], found: list[events.Event]) -> tuple[SceneEvent, ...]:
+    """The run's events on the path of the method that found them; those dismissed are left out."""
+    having = [p for p in paths if any(e["method"] == p.method for e in found)]
+    method = primary([p.method for p in having])
+    kept = [e for e in found if e["method"] == method and e["decision"] != "dismissed"]
+    return next((events_on(p, kept) for p in having if p.method == method), ())
 
 
 def _path(source: figures.Source) -> ScenePath:

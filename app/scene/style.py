@@ -54,6 +54,14 @@ OTHER = _same((128, 134, 140), (2, 1))
 FIXES = Stroke((120, 150, 172), (112, 140, 160))
 BEACON = (86, 180, 233)
 
+# Events: colour of the family as on the pages, and how round the head of its pin is.
+EVENTS: dict[str, tuple[Rgb, int]] = {
+    **dict.fromkeys(("slip", "collision"), ((196, 48, 43), 1)),
+    **dict.fromkeys(("bounce", "beacon_loss", "beacon_lying"), ((190, 130, 20), 3)),
+    **dict.fromkeys(("pushed", "kidnap", "replacement"), ((120, 105, 220), 3)),
+}
+EVENT_OTHER: tuple[Rgb, int] = ((120, 130, 138), 1)
+
 THEME: dict[str, Theme] = {
     "light": Theme(ink=(20, 24, 28), cell=(226, 229, 232), section=(196, 202, 208), wheel=(45, 50, 56)),
     "dark": Theme(ink=(233, 236, 239), cell=(54, 60, 66), section=(88, 97, 106), wheel=(150, 158, 166)),

@@ -20,6 +20,8 @@ LAGS = 30
 FEWEST = 30  # readings, below which nothing is said of whiteness or noise
 SHORTEST = 10  # readings of a running mean's window
 NORMAL_95 = 1.959964
+WIDE = 0.9  # quantile of NIS that tells of its tail, as the median does of its bulk
+APART = 4.0  # factor between what the two call for, beyond which no single R fits
 
 
 @dataclass(frozen=True)
@@ -51,16 +53,26 @@ class Whiteness:
 
 @dataclass(frozen=True)
 class NoiseAdvice:
-    """R should be about `factor` times what it is, with its 95 % interval. `fits`: no change is called for."""
+    """R should be about `factor` times what it is, with its 95 % interval. `fits`: no change is called for.
+
+    `factor` is what half of the readings call for, `wide` what the widest tenth does: where the two are far apart, no
+    single R fits (`single`).
+    """
 
     factor: float
     low: float
     high: float
+    wide: float
 
     @property
     def fits(self) -> bool:
         """Whether the interval holds 1, or the factor is too near to it to matter."""
-        return self.low <= 1.0 <= self.high or 0.8 <= self.factor <= 1.25
+        return self.single and (self.low <= 1.0 <= self.high or 0.8 <= self.factor <= 1.25)
+
+    @property
+    def single(self) -> bool:
+        """Whether the readings are spread as one Gaussian would spread them, whatever its size."""
+        return self.factor > 0 and 1 / APART < self.wide / self.factor < APART
 
 
 @dataclass(frozen=True)
@@ -148,4 +160,5 @@ def noise_advice(nis: Array, dof: int, effective: float | None = None) -> NoiseA
     half = 0.5 * NORMAL_95 / np.sqrt(max(effective or len(nis), 1.0))
     shares = np.clip((0.5, 0.5 - half, 0.5 + half), 0.0, 1.0)
     factor, low, high = np.quantile(nis, shares) / float(chi2.median(dof))
-    return NoiseAdvice(float(factor), float(low), float(high))
+    wide = float(np.quantile(nis, WIDE)) / float(chi2.ppf(WIDE, dof))
+    return NoiseAdvice(float(factor), float(low), float(high), wide)

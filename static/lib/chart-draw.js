@@ -144,10 +144,12 @@ function hatch(u, a, b, ink) {
 function eventBand(u, event, crowded) {
   const { ctx, bbox } = u;
   const ink = colour(event.color ?? "--amber");
+  if (event.faint) ctx.globalAlpha = 0.25;
   const x0 = u.valToPos(event.t0, "x", true);
   const x1 = Math.max(u.valToPos(event.t1, "x", true), x0 + 2 * devicePixelRatio);
   ctx.fillStyle = withAlpha(ink, 0.14);
   if (!crowded) ctx.fillRect(x0, bbox.top, x1 - x0, bbox.height);
   ctx.fillStyle = ink;
   ctx.fillRect(x0, bbox.top, x1 - x0, 3 * devicePixelRatio);
+  ctx.globalAlpha = 1;
 }

@@ -144,6 +144,7 @@ function linePath({ t, y }, series, range, px, py, box) {
     const paint = series.mark === "dot" ? `fill="${ink}"` : `fill="none" stroke="${ink}" stroke-width="1.2"`;
     return t.map((x, i) => (x < range[0] || x > range[1] || y[i] === null ? "" : `<path transform="translate(${px(x)} ${edge(y[i])})" d="${MARK_PATHS[series.mark]}" ${paint}/>`)).join("");
   }
+  if (series.style === "bars") return t.map((x, i) => (y[i] === null ? "" : `<path d="M${px(x)} ${py(0)}V${py(y[i])}" stroke="${ink}" stroke-width="5"/>`)).join("");
   let d = "";
   let pen = "M";
   for (let i = first; i < last; i++) {

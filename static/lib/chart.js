@@ -3,11 +3,11 @@
 //
 //   const chart = createChart(host, {
 //     id: "error-xy", title: "Position error", unit: "m", term: "error_xy" (terms.js), help: "own words",
-//     series: [{ key: "fused", label: "fused", color: "--method-fused", dash: [], on: true, style: "line" | "dots" | "steps" | "marks" }],
+//     series: [{ key: "fused", label: "fused", color: "--method-fused", dash: [], on: true, style: "line" | "dots" | "steps" | "bars" | "marks" }],
 //                                             // marks: mark: "dot" | "cross" | "triangle"; scale: false: doesn't widen the value axis
 //     clock,                                    // timecursor.js; absent: the chart keeps its own range over `domain`
 //     load: async ({ t0, t1, points, signal }) => ({ series: { fused: { t, y, total, shown } },
-//                                                    bands: { fused: { t, mid, sd } or { t, lo, hi } }, gaps: [[t0, t1]] }),
+//                                                    bands: { fused: { t, mid, sd } or { t, lo, hi, fit (widens the value axis) } }, gaps: [[t0, t1]] }),
 //     bandFor: (keys) => key,                   // absent: the bands of all visible series
 //     log: { x: false, y: false }, settle: false (scale to where the curve settles), domain: [x0, x1], xLabel: "τ", xUnit: "s", showTime: true, zero: false,
 //     onToggle: (key, on) => {}, onEnlarge: () => {}, fileName: "run-error",
@@ -206,9 +206,9 @@ export function createChart(host, spec) {
       stroke: ink,
       width: s.width ?? 1.5,
       dash: s.dash?.length ? s.dash : undefined,
-      paths: dots ? () => null : s.style === "steps" ? uPlot.paths.stepped({ align: 1 }) : undefined,
-      fill: s.fill ? () => withAlpha(ink(), 0.18) : undefined,
-      points: dots ? { show: true, size: 3.5, fill: ink, stroke: ink } : s.style === "steps" ? { show: false } : { size: 4, fill: ink, stroke: ink },
+      paths: dots ? () => null : s.style === "bars" ? uPlot.paths.bars({ size: [0.55, 40] }) : s.style === "steps" ? uPlot.paths.stepped({ align: 1 }) : undefined,
+      fill: s.fill || s.style === "bars" ? () => withAlpha(ink(), 0.18) : undefined,
+      points: dots ? { show: true, size: 3.5, fill: ink, stroke: ink } : s.style === "steps" || s.style === "bars" ? { show: false } : { size: 4, fill: ink, stroke: ink },
     };
   }
 
@@ -224,6 +224,7 @@ export function createChart(host, spec) {
     if (offScale) all = [Math.max(all[0], settled[0]), Math.min(all[1], settled[1])];
     const lines = all;
     for (const band of chart.bands.filter((b) => b.sd)) widen(bandExtent(band, clock.range, lines, spec.settle ? 0.3 : 2));
+    for (const band of chart.bands.filter((b) => b.fit)) [band.lo, band.hi].forEach((y) => widen([Math.min(...y), Math.max(...y)]));
     if (all && spec.zero && (!lines || lines[0] >= 0)) all = [Math.max(all[0], 0), all[1]];
     if (!all) return log.y ? [0.1, 10] : [-1, 1];
     if (log.y) return [all[0] / 1.3, all[1] * 1.3];

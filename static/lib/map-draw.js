@@ -1,5 +1,6 @@
 // What the map draws, onto any 2D context: the canvas, or a picture to save. Units are CSS pixels.
 
+import { drawEventMark } from "./events.js";
 import { ellipse, poseAt, roundStep } from "./map-view.js";
 import { colour, withAlpha } from "./palette.js";
 
@@ -142,32 +143,31 @@ export function halo(ctx, text, x, y, ink) {
   ctx.fillText(text, x, y);
 }
 
-// Events: a diamond where the path was when it began, with its kind.
-// Where they crowd, one mark stands for all within its reach.
-export function drawEvents(ctx, view, path, events) {
+// Where events are on a path: [{ event, x, y, size, label }] in px. Where they crowd, one mark stands for all within its
+// reach; what was dismissed gives way.
+export function placeEvents(view, path, events) {
   const taken = new Set();
-  ctx.textAlign = "left";
-  ctx.textBaseline = "middle";
-  for (const event of events) {
+  const size = events.length > 40 ? 4 : 6;
+  const placed = [];
+  for (const event of [...events].sort((a, b) => a.faint - b.faint || a.t0 - b.t0)) {
     const pose = poseAt(path, event.t0);
     if (!pose) continue;
-    const [px, py] = [view.toX(pose.x), view.toY(pose.y)];
-    const place = `${Math.round(px / 28)},${Math.round(py / 28)}`;
+    const [x, y] = [view.toX(pose.x), view.toY(pose.y)];
+    const place = `${Math.round(x / 20)},${Math.round(y / 20)}`;
     if (taken.has(place)) continue;
     taken.add(place);
-    const size = events.length > 40 ? 3 : 6;
-    ctx.fillStyle = colour(event.color ?? "--amber");
-    ctx.strokeStyle = colour("--surface");
-    ctx.lineWidth = 1.5;
-    ctx.beginPath();
-    ctx.moveTo(px, py - size);
-    ctx.lineTo(px + size, py);
-    ctx.lineTo(px, py + size);
-    ctx.lineTo(px - size, py);
-    ctx.closePath();
-    ctx.fill();
-    ctx.stroke();
-    if (events.length <= 12) halo(ctx, event.kind.replaceAll("_", " "), px + 9, py, colour("--ink-2"));
+    placed.push({ event, x, y, size, label: events.length <= 12 && !event.faint ? event.label : "" });
+  }
+  return placed;
+}
+
+// Events where the path was when they began, each kind with its own mark.
+export function drawEvents(ctx, placed) {
+  ctx.textAlign = "left";
+  ctx.textBaseline = "middle";
+  for (const { event, x, y, size, label } of placed) {
+    drawEventMark(ctx, event, x, y, size);
+    if (label) halo(ctx, label, x + 10, y, colour("--ink-2"));
   }
 }
 
@@ -184,16 +184,18 @@ export function drawEllipse(ctx, view, path, pose, sigmas, alpha) {
   ctx.stroke();
 }
 
-// 95 % ellipses about every 40 px of way.
-export function drawEllipsesAlong(ctx, view, path, range) {
+// Poses whose 95 % ellipses are drawn: about every 40 px of way.
+export function ellipsesAlong(view, path, range) {
+  const poses = [];
   let last = null;
   for (let i = 0; i < path.t.length; i++) {
     if (path.t[i] < range[0] || path.t[i] > range[1] || path.x[i] === null) continue;
     const at = [view.toX(path.x[i]), view.toY(path.y[i])];
     if (last && Math.hypot(at[0] - last[0], at[1] - last[1]) < 40) continue;
     last = at;
-    drawEllipse(ctx, view, path, poseAt(path, path.t[i]), SIGMAS_95, 0.08);
+    poses.push(poseAt(path, path.t[i]));
   }
+  return poses;
 }
 
 // The robot: a disc with its heading; on a heading unknown, the disc alone.

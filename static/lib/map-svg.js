@@ -2,19 +2,37 @@
 
 import { escape } from "./chart-export.js";
 import { colour } from "./palette.js";
-import { roundStep } from "./map-view.js";
+import { SIGMAS_95 } from "./map-draw.js";
+import { ellipse, roundStep } from "./map-view.js";
 
-export function mapSvg(paths, beacons, view, range, subject) {
+// `events`: as placed on the screen; `claim`: the path whose `poses` get ellipses, or null.
+export function mapSvg({ paths, beacons, view, range, subject, events, claim, poses }) {
   const { width, height } = view;
   const ink = colour("--ink-2");
   const parts = [`<rect width="${width}" height="${height}" fill="${colour("--surface")}"/>`, ...grid(view)];
+  if (claim) parts.push(...poses.map((pose) => claimed(pose, claim, view)));
   for (const path of paths) parts.push(path.dots ? dots(path, view, range) : line(path, view, range));
   for (const { name, x, y } of beacons) {
     const [px, py] = [view.toX(x), view.toY(y)];
     parts.push(`<path d="M${px} ${py - 6}l6 11h-12z" fill="none" stroke="${ink}"/><text x="${px + 9}" y="${py + 4}" fill="${ink}">${escape(name)}</text>`);
   }
-  parts.push(...legend(paths), scaleBar(view, ink));
+  parts.push(...events.map((placed) => mark(placed, ink)), ...legend(paths), scaleBar(view, ink));
   return `<svg xmlns="http://www.w3.org/2000/svg" width="${width}" height="${height}" viewBox="0 0 ${width} ${height}" font-family="sans-serif" font-size="11"><title>${escape(subject || "Path")}</title>${parts.join("\n")}</svg>`;
+}
+
+function claimed(pose, path, view) {
+  const e = ellipse(pose);
+  if (!e) return "";
+  const [rx, ry] = [e.major, e.minor].map((axis) => Math.max(SIGMAS_95 * axis * view.scale, 0.5).toFixed(2));
+  const ink = colour(path.color);
+  const turn = ((-e.angle * 180) / Math.PI).toFixed(2);
+  return `<ellipse rx="${rx}" ry="${ry}" transform="translate(${view.toX(pose.x).toFixed(1)} ${view.toY(pose.y).toFixed(1)}) rotate(${turn})" fill="${ink}" fill-opacity="0.08" stroke="${ink}" stroke-opacity="0.7"/>`;
+}
+
+function mark({ event, x, y, size, label }, ink) {
+  const title = `${event.label} at ${event.t0.toFixed(2)} s. ${event.evidence}`;
+  const shape = `<path transform="translate(${x.toFixed(1)} ${y.toFixed(1)}) scale(${size / 6})" d="${event.path}" fill="${colour(event.color)}" fill-rule="evenodd"${event.faint ? ' opacity="0.3"' : ""}><title>${escape(title)}</title></path>`;
+  return label ? `${shape}<text x="${(x + 10).toFixed(1)}" y="${(y + 4).toFixed(1)}" fill="${ink}">${escape(label)}</text>` : shape;
 }
 
 function grid(view) {

@@ -2,7 +2,7 @@
 //
 //   const map = createMap(host, { clock, subject: "corridor lap 3", fileName: "corridor" });
 //   map.setPaths([{ method, label, color, dash, width, dots, t, x, y, theta, sd_x, sd_y, sd_theta, cov_xy }], beacons);
-//   map.setVisible(method, on); map.setEvents(method, [{ kind, t0, t1 }]); map.setLead(method); map.fit();
+//   map.setVisible(method, on); map.setEvents(method, [dressedEvent]); map.setLead(method); map.fit();
 //   map.setView([x, y, scale]); map.onView = (view) => {}; map.say(text);
 //
 // Mouse: wheel zooms, drag pans, click sets the time, double-click fits. Touch: drag pans, two fingers zoom.
@@ -12,6 +12,7 @@ import { number, tick, timeText, timeUnit } from "./chart-axes.js";
 import { copyLink, quote } from "./chart-export.js";
 import { exportMenu } from "./chart-frame.js";
 import { h, s, save } from "./dom.js";
+import { eventTip } from "./events.js";
 import { length, angle } from "./format.js";
 import { gestures } from "./gestures.js";
 import * as draw from "./map-draw.js";
@@ -48,6 +49,7 @@ export function createMap(host, { clock, subject = "", fileName = "path" }) {
   let fitted = true; // the user has not moved the view: new paths and sizes fit again
   let dirty = 0; // 1: cursor layer, 2: everything
   let under = null; // {path, index} below the pointer
+  let placed = []; // events as they stand on the screen
 
   const map = {
     view,
@@ -129,17 +131,23 @@ export function createMap(host, { clock, subject = "", fileName = "path" }) {
     draw.drawGround(ctx, view);
     const shown = map.shown;
     for (const path of shown) if (path.dots) draw.drawPath(ctx, view, path, clock.range);
-    if (ellipses.getAttribute("aria-pressed") === "true") {
-      const claiming = shown.filter((p) => p.sd_x && !p.dots); // one method's: those of several hide each other
-      const path = claiming.find((p) => p.method === lead) ?? claiming[0];
-      if (path) draw.drawEllipsesAlong(ctx, view, path, clock.range);
-    }
+    const claim = claiming();
+    if (claim) for (const pose of draw.ellipsesAlong(view, claim, clock.range)) draw.drawEllipse(ctx, view, claim, pose, draw.SIGMAS_95, 0.08);
     for (const path of inDrawOrder(shown.filter((p) => !p.dots))) draw.drawPath(ctx, view, path, clock.range);
     for (const path of shown) draw.drawEnds(ctx, view, path);
     draw.drawBeacons(ctx, view, beacons);
     const carrier = shown.find((p) => p.method === events.method) ?? shown.find((p) => !p.dots);
-    if (carrier) draw.drawEvents(ctx, view, carrier, events.list);
+    placed = carrier ? draw.placeEvents(view, carrier, events.list) : [];
+    draw.drawEvents(ctx, placed);
     draw.drawScaleBar(ctx, view);
+    root.dataset.events = String(placed.length);
+  }
+
+  // Whose ellipses are drawn, where they are asked for: one method's, as those of several hide each other.
+  function claiming() {
+    if (ellipses.getAttribute("aria-pressed") !== "true") return null;
+    const able = map.shown.filter((p) => p.sd_x && !p.dots);
+    return able.find((p) => p.method === lead) ?? able[0] ?? null;
   }
 
   function paintTop(ctx) {
@@ -191,12 +199,25 @@ export function createMap(host, { clock, subject = "", fileName = "path" }) {
   }
 
   function hover(x, y) {
+    const mark = placed.find((p) => Math.hypot(p.x - x, p.y - y) <= p.size + 3);
+    if (mark) {
+      under = null;
+      clock.setHover(mark.event.t0);
+      tip.hidden = false;
+      tip.replaceChildren(...eventTip(mark.event));
+      placeTip(x, y, 330);
+      return redraw(1);
+    }
     const found = nearest(view, map.shown, x, y);
-    if (!found && !under) return;
+    if (!found && !under) return void (tip.hidden = true);
     under = found;
     clock.setHover(found ? found.path.t[found.index] : null);
     showTip(x, y);
-    redraw(1);
+    return redraw(1);
+  }
+
+  function placeTip(x, y, width) {
+    tip.style.transform = `translate(${Math.max(Math.min(x + 14, view.width - width), 4)}px, ${y > view.height - 110 ? y - 106 : y + 14}px)`;
   }
 
   function showTip(x, y) {
@@ -213,7 +234,7 @@ export function createMap(host, { clock, subject = "", fileName = "path" }) {
       h("span", {}, `y ${number(value("y"))} m${spread("sd_y", length)}`),
       value("theta") !== null && h("span", {}, `θ ${angle(wrapped(value("theta"))).text}${spread("sd_theta", angle)}`) || "",
     );
-    tip.style.transform = `translate(${Math.min(x + 14, view.width - 190)}px, ${y > view.height - 110 ? y - 106 : y + 14}px)`;
+    placeTip(x, y, 190);
   }
 
   cleanups.push(
@@ -226,8 +247,10 @@ export function createMap(host, { clock, subject = "", fileName = "path" }) {
         redraw(1);
       },
       click(x, y) {
+        const mark = placed.find((p) => Math.hypot(p.x - x, p.y - y) <= p.size + 3);
+        if (mark) return clock.setTime(mark.event.t0);
         const found = nearest(view, map.shown, x, y, 40);
-        if (found) clock.setTime(found.path.t[found.index]);
+        return found && clock.setTime(found.path.t[found.index]);
       },
       reset: () => map.fit(),
       pan(dx, dy) {
@@ -272,8 +295,14 @@ export function createMap(host, { clock, subject = "", fileName = "path" }) {
   function tool(kind) {
     if (kind === "link") return copyLink();
     if (kind === "png") return exportPng();
-    if (kind === "svg") return save(new Blob([mapSvg(map.shown, beacons, view, clock.range, subject)], { type: "image/svg+xml" }), `${fileName}-map.svg`);
+    if (kind === "svg") return save(new Blob([mapSvg(drawing())], { type: "image/svg+xml" }), `${fileName}-map.svg`);
     return exportCsv();
+  }
+
+  // All that the SVG needs of what is seen.
+  function drawing() {
+    const claim = claiming();
+    return { paths: map.shown, beacons, view, range: clock.range, subject, events: placed, claim, poses: claim ? draw.ellipsesAlong(view, claim, clock.range) : [] };
   }
 
   async function exportPng() {

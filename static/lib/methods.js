@@ -1,4 +1,4 @@
-// One colour and one dash per method, everywhere. Colours live in tokens.css; the order is that of keys 1 to 6.
+// One colour and one dash per method, everywhere. Colours live in tokens.css; the order is that of keys 1 to 6, 0 the truth.
 
 import { s } from "./dom.js";
 
@@ -12,6 +12,9 @@ export const METHODS = {
   smoothed: { label: "smoothed", color: "--method-smoothed", dash: [12, 3], width: 1.75 },
   fixes: { label: "beacon fixes", color: "--method-fixes", dash: [], width: 1 },
 };
+
+/** The same key everywhere, whatever a run lacks. */
+export const METHOD_KEYS = { truth: "0", encoders: "1", beacon: "2", "encoders+gyro": "3", published: "4", fused: "5", smoothed: "6", fixes: "7" };
 
 const FALLBACK = { color: "--ink-3", dash: [4, 4], width: 1.5 };
 

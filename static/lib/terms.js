@@ -35,14 +35,27 @@ export const TERMS = {
   runtime_s: ["Run time", "Computing time of the estimate, after loading."],
   error_xy: ["Position error", "Distance between the path and the truth at each stamp.", "‖p(t) − p̂(t)‖", "numbers#ate"],
   error_theta: ["Heading error", "Heading difference to the truth at each stamp, wrapped.", "wrap(θ̂ − θ)", "numbers#heading-error"],
+  nis_running: ["Running mean NIS", "Squared surprise of each reading in units of what the filter expects, averaged over consecutive windows of accepted readings. Right: 95 % of the means lie in the band. Above: the sensor is noisier than told, below: better. Crosses: readings refused.", "mean νᵀ S⁻¹ ν", "numbers#nis"],
+  nis_readings: ["Readings", "Readings of this sensor that the filter predicted."],
+  nis_refused: ["Refused", "Share of readings outside their gate: not used, but counted here.", null, "numbers#nis"],
+  nis_mean: ["Mean NIS", "Over accepted readings. Right: near the degrees of freedom, inside the band beside it.", "mean νᵀ S⁻¹ ν", "numbers#nis"],
+  nis_band: ["Band of the mean", "Holds the mean of an honest filter in 95 of 100 runs; it counts as many readings as these are worth.", "χ²(n·dof) / n", "numbers#nis"],
+  nis_effective: ["Worth", "How many independent readings these are worth: fewer where neighbours hang together.", "n / (1 + 2 Σ rₖ)", "numbers#whiteness"],
+  whiteness: ["Whiteness", "Bars: autocorrelation of NIS (by ranks, so outliers do not count). White: 95 % of the bars within ± 2/√n. p: probability of such bars, were it white (Ljung-Box).", "Q = n(n+2) Σ rₖ² / (n−k)", "numbers#whiteness"],
+  advice: ["R should be about", "The noise to tell the filter, over what it is told, with its 95 % interval: the median of NIS over that of chi-square, so that outliers do not count.", "median NIS / median χ²", "numbers#noise-advice"],
+  events: ["Events", "What befell the robot, as this method found it. Click one to go there; confirm or dismiss it, and again to take that back.", null, "numbers#events"],
+  sandbox_gap: ["Gap", "Root mean square of all residuals in units of the stated noise, the pose set anew every 2 s from the reference: the diagnosis's number. The mark is what noise alone leaves.", "√(mean over columns of rms²)", "effects#what-a-gap-is-and-its-shrinkage"],
+  sandbox_residual: ["Residual", "What was read minus what the simulator says at the same stamp, driven from the start in one go; headings wrapped. A scenario has no readings: patched minus nominal.", "real − simulated"],
+  sandbox_seed: ["Seed", "Of all simulated noise. The same seed gives the same noise, so that only the effects differ."],
+  sandbox_simulator: ["Simulator", "Our own, or one that whoever runs the server has registered; effects that it lacks are put around it where that is exact.", null, "own-simulator"],
   sampling: ["Sampling", "What is drawn is thinned by the server so that extremes stay; zoom in and it is drawn again from all samples."],
 };
 
-const SENSOR = { label: (name) => `NIS, ${name.slice(4).replaceAll("_", " ").replace(".", " ")}`, text: "Squared innovation of this sensor in units of its predicted uncertainty, averaged. Near its degrees of freedom: honest.", formula: "mean νᵀ S⁻¹ ν", guide: "/guide/numbers#nis" };
+const SENSOR = { label: (name) => `NIS, ${name.slice(4).replaceAll("_", " ").replace(".", " ")}`, text: "Squared innovation of this sensor in units of its predicted uncertainty, averaged over accepted readings and degrees of freedom. Near 1: honest.", formula: "mean νᵀ S⁻¹ ν / dof", guide: "/guide/numbers#nis" };
 
 /** {label, text, formula, guide} of a term, or null. */
 export function term(name) {
-  if (name?.startsWith("nis_")) return { ...SENSOR, label: SENSOR.label(name) };
+  if (name?.startsWith("nis_") && !TERMS[name]) return { ...SENSOR, label: SENSOR.label(name) };
   const found = TERMS[name];
   return found ? { label: found[0], text: found[1], formula: found[2], guide: found[3] && `/guide/${found[3]}` } : null;
 }

@@ -1,8 +1,8 @@
-// The bar of methods: one colour and one dash each, on and off for map, 3D and every plot at once; keys 1 to 9.
+// The bar of methods: one colour and one dash each, on and off for map, 3D and every plot at once; keys 1 to 6, 0 the truth, 7 the fixes.
 
 import { h } from "../lib/dom.js";
 import { keys } from "../lib/keys.js";
-import { methodStyle, sortMethods, swatch } from "../lib/methods.js";
+import { METHOD_KEYS, methodStyle, sortMethods, swatch } from "../lib/methods.js";
 
 // What could be shown for this run, in the order of the keys: { name, label, has, reason, estimate }.
 export function methodsOf({ run, estimates, methods }) {
@@ -36,11 +36,12 @@ export function mountMethods(host, state) {
 
   const table = {};
   state.methods.forEach((method, i) => {
-    const chip = h("button", { type: "button", class: "method", "data-method": method.name }, methodSwatch(method.name), method.label, i < 9 && h("kbd", {}, String(i + 1)));
+    const key = METHOD_KEYS[method.name];
+    const chip = h("button", { type: "button", class: "method", "data-method": method.name }, methodSwatch(method.name), method.label, key && h("kbd", {}, key));
     chip.addEventListener("click", (event) => (event.altKey ? solo(method.name) : state.toggle(method.name)));
     chips.set(method.name, chip);
     host.append(chip);
-    if (i < 9) table[String(i + 1)] = [i === 0 ? "methods on and off" : null, () => state.toggle(method.name), `1 … ${Math.min(9, state.methods.length)}`];
+    if (key) table[key] = [i === 0 ? "methods on and off, 0 the truth, 7 the fixes" : null, () => state.toggle(method.name), "0 … 7"];
   });
   keys("Run", table);
   state.subscribe((what) => what === "methods" && paint());

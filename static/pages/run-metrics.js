@@ -2,7 +2,7 @@
 
 import { copyText } from "../lib/chart-export.js";
 import { h, save } from "../lib/dom.js";
-import { bias, quantity, seconds, show } from "../lib/format.js";
+import { bias, percent, quantity, seconds, show } from "../lib/format.js";
 import { methodStyle, sortMethods } from "../lib/methods.js";
 import { methodSwatch } from "./run-methods.js";
 
@@ -10,13 +10,16 @@ import { methodSwatch } from "./run-methods.js";
 const COLUMNS = [
   ["ate_rmse_m", "ATE", "low"],
   ["rpe_per_m_m", "RPE per m", "low"],
+  ["rpe_per_s_m", "RPE per s", "low"],
   ["final_m", "Final", "low"],
   ["max_m", "Max", "low"],
   ["heading_rmse_rad", "Heading", "low"],
   ["final_rad", "Final heading", "abs"],
   ["nees", "NEES", null],
+  ["nees_inside", "Inside", null],
   ["bias_drift_rad_s", "Bias drift", null],
   ["distance_m", "Length", null],
+  ["unmatched", "Unmatched", null],
   ["runtime_s", "Run time", null],
 ];
 
@@ -84,6 +87,7 @@ export function metricsTable({ estimates, methods, fileName, runName }) {
 function shown(name, v, unit) {
   if (name === "bias_drift_rad_s") return show(bias(v), name);
   if (name === "runtime_s") return show(seconds(v), name);
+  if (name === "nees_inside" && v !== null) return show(percent(v), name);
   return show(quantity(v, unit), name);
 }
 

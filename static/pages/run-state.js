@@ -1,13 +1,13 @@
 // What the page shows, kept in its address: tab, view, range, time, methods, the enlarged plot. A link restores it all.
 
-const TABS = ["path", "signals", "imu", "files", "notes"];
+const TABS = ["path", "signals", "imu", "consistency", "files", "notes"];
 const FORMER = { bias: "imu" }; // old links
 const FOCUS = ["best", "C", "smoothed", "B", "A"]; // whose segments are shown first
 const VIEWS = ["both", "map", "scene"];
 const WRITE_DELAY = 250;
 
 // `methods`: [{ name, has }] in the order of the keys. State tells its subscribers what changed: "tab", "view",
-// "split", "big", "methods", "map"; of the IMU tab "axis", "bias" (methods shown), "segments" (whose), "calibration".
+// "split", "big", "methods", "map", "events" (whose), "by" (the method judged); of the IMU tab "axis", "bias" (methods shown), "segments" (whose), "calibration".
 export function createState(methods, clock) {
   const params = new URLSearchParams(location.search);
   const listeners = new Set();
@@ -21,6 +21,8 @@ export function createState(methods, clock) {
     axis: params.get("axis") ?? "gz",
     segments: params.get("seg"),
     calibration: params.get("cal"),
+    events: params.get("ev"),
+    by: params.get("by"),
     biasMethods: [],
     biasOff: new Set((params.get("off") ?? "").split(",").filter(Boolean)),
     view: oneOf(params.get("view"), VIEWS),
@@ -111,6 +113,8 @@ export function createState(methods, clock) {
       seg: state.segments,
       off: [...state.biasOff].join(",") || null,
       cal: state.calibration,
+      ev: state.events,
+      by: state.by,
     };
     const query = Object.entries(fields)
       .filter(([, value]) => value !== null && value !== undefined)

@@ -3,16 +3,16 @@
 
 import { timeIncrements, timeText, timeUnit } from "../lib/chart-axes.js";
 import { h, s } from "../lib/dom.js";
+import { drawEventMark, eventLegend, eventTip } from "../lib/events.js";
 import { keys } from "../lib/keys.js";
 import { colour, onThemeChange, withAlpha } from "../lib/palette.js";
 
 const EDGE = 7; // px within which a window edge is caught
-const EVENT_COLOURS = { slip: "--red", collision: "--red", bounce: "--red", kidnap: "--red" };
 
 // Losses are common and long: a thin lane at the foot. What happened to the robot itself takes the full height.
 const lane = (kind) => (kind.endsWith("_loss") ? [23, 5] : [4, 24]);
-
-export const eventColour = (kind) => EVENT_COLOURS[kind] ?? "--amber";
+const MARK = 5; // px from a mark's middle to its edge
+const markY = (e) => (e.kind.endsWith("_loss") ? 22 : 14);
 
 export function mountStrip(host, clock) {
   const play = h("button", { type: "button", class: "icon-button strip-play", "aria-label": "Play", "data-hint": "Play or pause (space)" });
@@ -20,10 +20,13 @@ export function mountStrip(host, clock) {
   const follow = h("button", { type: "button", class: "icon-button strip-follow", "aria-label": "Follow the robot", "data-hint": "Map and 3D follow the robot (f)" }, s("svg", { viewBox: "0 0 20 20", "aria-hidden": "true" }, s("circle", { cx: 10, cy: 10, r: 5 }), s("path", { d: "M10 2v4M10 14v4M2 10h4M14 10h4" })));
   const canvas = h("canvas", {});
   const track = h("div", { class: "strip-track", role: "slider", tabindex: "0", "aria-label": "Time", "aria-valuemin": clock.full[0], "aria-valuemax": clock.full[1] }, canvas);
+  const tip = h("div", { class: "map-tip event-tip strip-tip", hidden: true });
+  const legend = h("ul", { class: "strip-legend", "aria-label": "Events" });
+  track.append(tip);
   const now = h("span", {});
   const rest = h("small", {});
   const all = h("button", { type: "button", class: "strip-all", "data-hint": "Show the whole run (double-click a plot)", hidden: true }, "whole run");
-  host.append(h("div", { class: "strip-controls" }, play, speed, follow), track, h("div", { class: "strip-time" }, now, rest, all));
+  host.append(h("div", { class: "strip-controls" }, play, speed, follow), track, h("div", { class: "strip-time" }, now, rest, all), legend);
 
   const span = clock.full[1] - clock.full[0];
   let marks = { motion: [], events: [], gaps: [] };
@@ -55,7 +58,8 @@ export function mountStrip(host, clock) {
     ctx.fillRect(x(clock.full[0]), 4, x(clock.full[1]) - x(clock.full[0]), 24);
     for (const [a, b] of marks.motion) bar(ctx, a, b, 4, 24, colour("--line-strong"), 0.55);
     for (const [a, b] of marks.gaps) bar(ctx, a, b, 23, 5, colour("--amber"), 0.9);
-    for (const e of marks.events) bar(ctx, e.t0, e.t1, ...lane(e.kind), colour(e.color), 0.8);
+    for (const e of marks.events) bar(ctx, e.t0, e.t1, ...lane(e.kind), colour(e.color), e.faint ? 0.12 : 0.4);
+    paintMarks(ctx);
     ticks(ctx, width, height);
     paintWindow(ctx);
     paintTime(ctx);
@@ -65,6 +69,17 @@ export function mountStrip(host, clock) {
   function bar(ctx, a, b, y, height, ink, alpha) {
     ctx.fillStyle = withAlpha(ink, alpha);
     ctx.fillRect(x(a), y, Math.max(x(b) - x(a), 2), height);
+  }
+
+  // Where events crowd, one mark stands for those within its reach; what was dismissed gives way.
+  function paintMarks(ctx) {
+    const taken = [];
+    for (const e of [...marks.events].sort((a, b) => a.faint - b.faint || a.t0 - b.t0)) {
+      const [at, y] = [x(e.t0), markY(e)];
+      if (taken.some(([px, py]) => py === y && Math.abs(px - at) < 1.6 * MARK)) continue;
+      taken.push([at, y]);
+      drawEventMark(ctx, e, at, y, MARK);
+    }
   }
 
   function ticks(ctx, width, height) {
@@ -108,8 +123,8 @@ export function mountStrip(host, clock) {
   function say() {
     const text = `${timeText(clock.time, 0.01, clock.full[1])}`;
     now.textContent = `${text} ${clock.full[1] < 180 ? "s" : ""}`;
-    const happening = marks.events.find((e) => clock.time >= e.t0 && clock.time <= e.t1);
-    rest.textContent = happening ? happening.kind.replaceAll("_", " ") : `of ${timeText(clock.full[1], 0.1, clock.full[1])} ${timeUnit(clock.full[1])}`;
+    const happening = marks.events.find((e) => !e.faint && clock.time >= e.t0 && clock.time <= e.t1);
+    rest.textContent = happening ? happening.label : `of ${timeText(clock.full[1], 0.1, clock.full[1])} ${timeUnit(clock.full[1])}`;
     all.hidden = clock.isFullRange;
     track.setAttribute("aria-valuenow", clock.time.toFixed(3));
     track.setAttribute("aria-valuetext", text);
@@ -140,6 +155,7 @@ export function mountStrip(host, clock) {
     if (!grabbed) {
       track.style.cursor = grip(px) === "time" ? "pointer" : "ew-resize";
       clock.setHover(timeAt(px));
+      showTip(px);
       return;
     }
     const t = timeAt(px);
@@ -150,7 +166,21 @@ export function mountStrip(host, clock) {
   const drop = () => (grabbed = null);
   track.addEventListener("pointerup", drop);
   track.addEventListener("pointercancel", drop);
-  track.addEventListener("pointerleave", () => grabbed || clock.setHover(null));
+  track.addEventListener("pointerleave", () => {
+    tip.hidden = true;
+    if (!grabbed) clock.setHover(null);
+  });
+
+  // The events under the pointer: the mark within its reach first, else what lasts there.
+  function showTip(px) {
+    const apart = (e) => Math.abs(px - x(e.t0));
+    const near = marks.events.filter((e) => apart(e) <= MARK + 2).sort((a, b) => apart(a) - apart(b));
+    const under = near.length ? near : marks.events.filter((e) => px >= x(e.t0) && px <= x(e.t1));
+    tip.hidden = !under.length;
+    if (!under.length) return;
+    tip.replaceChildren(...eventTip(under[0]), under.length > 1 ? h("span", { class: "dim" }, `and ${under.length - 1} more here`) : "");
+    tip.style.transform = `translateX(${Math.max(Math.min(px - 20, track.clientWidth - 340), 0)}px)`;
+  }
   track.addEventListener("dblclick", () => clock.resetRange());
 
   function grip(px) {
@@ -192,6 +222,7 @@ export function mountStrip(host, clock) {
     setMarks(more) {
       marks = { ...marks, ...more };
       host.dataset.events = String(marks.events.length);
+      if (more.events) legend.replaceChildren(...eventLegend(marks.events.filter((e) => !e.faint)));
       redraw();
     },
   };

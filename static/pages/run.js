@@ -4,7 +4,9 @@ import { api, query, request } from "../lib/api.js";
 import { $, $$, h, pageData } from "../lib/dom.js";
 import { keys } from "../lib/keys.js";
 import { createTimeCursor } from "../lib/timecursor.js";
+import { mountConsistency } from "./run-consistency.js";
 import { mountMultiples } from "./run-errors.js";
+import { eventMethod, eventsOf, mountEvents } from "./run-events.js";
 import { mountFiles } from "./run-files.js";
 import { mountHeader } from "./run-header.js";
 import { mountImu } from "./run-imu.js";
@@ -15,7 +17,7 @@ import { mountNotes } from "./run-notes.js";
 import { calm, mountPaths } from "./run-path.js";
 import { mountSignals } from "./run-signals.js";
 import { createState } from "./run-state.js";
-import { eventColour, motionOf, mountStrip } from "./run-strip.js";
+import { motionOf, mountStrip } from "./run-strip.js";
 
 const data = pageData();
 const { run } = data;
@@ -29,10 +31,11 @@ const context = {
   fileName: run.name.replace(/[^\w.+-]+/g, "_").slice(0, 60),
   estimates: () => data.estimates,
   lead: () => data.lead,
+  decided: () => decided(),
 };
 
-const TABS = { path: mountPath, signals: mountSignals, imu: mountImu, files: mountFiles, notes: mountNotes };
-const WITH_TIME = new Set(["path", "signals", "imu"]);
+const TABS = { path: mountPath, signals: mountSignals, imu: mountImu, consistency: mountConsistency, files: mountFiles, notes: mountNotes };
+const WITH_TIME = new Set(["path", "signals", "imu", "consistency"]);
 let mounted = null; // the tab that is up
 let paths = null;
 let strip = null;
@@ -45,11 +48,17 @@ function mountPath(host) {
   }
   const multiples = mountMultiples(host, context);
   const parts = [metricsTable({ estimates: data.estimates, methods: data.methods, fileName: context.fileName, runName: run.name }), methodNotes(data.estimates) ?? ""];
-  host.append(...parts);
+  host.append(parts[0]);
+  const list = mountEvents(host, context);
+  host.append(parts[1]);
   return {
-    setEvents: multiples.setEvents,
+    setEvents(events) {
+      multiples.setEvents(events);
+      list.update();
+    },
     destroy() {
       multiples.destroy();
+      list.destroy();
       for (const part of parts) part.remove?.();
     },
   };
@@ -84,11 +93,17 @@ function showTab() {
 }
 
 function tellEvents() {
-  const lead = data.estimates.find((e) => e.method === data.lead);
-  const events = (lead?.events ?? []).map((e) => ({ ...e, color: eventColour(e.kind) }));
+  const events = eventsOf(context);
   mounted?.setEvents(events);
-  paths?.setEvents(data.lead, events);
+  paths?.setEvents(eventMethod(context), events);
   strip.setMarks({ events });
+}
+
+// A user confirmed or dismissed an event: drawn so at once, and the sentence told anew.
+async function decided() {
+  tellEvents();
+  const fresh = await (await request(`/runs/${run.id}.json`)).json();
+  $("#verdict").textContent = data.sentence = fresh.sentence;
 }
 
 // Where the wheels turn, out of a thinned curve: enough to see when it drove.
@@ -105,7 +120,7 @@ async function showMotion() {
 // After an estimate: the page's data once more, and what hangs on it drawn again. The address stays.
 async function refresh() {
   const fresh = await (await request(`/runs/${run.id}.json`)).json();
-  Object.assign(data, { estimates: fresh.estimates, methods: fresh.methods, jobs: fresh.jobs, lead: fresh.lead, sentence: fresh.sentence });
+  Object.assign(data, { estimates: fresh.estimates, methods: fresh.methods, jobs: fresh.jobs, lead: fresh.lead, event_method: fresh.event_method, sentence: fresh.sentence });
   $("#verdict").textContent = data.sentence;
   for (const m of methodsOf(data)) {
     Object.assign(state.methods.find((old) => old.name === m.name) ?? {}, { estimate: m.estimate, reason: m.reason });
@@ -142,7 +157,10 @@ mountHeader(context);
 mountMethods($("#methods"), state);
 strip = mountStrip($("#strip"), clock);
 keys("Run", { e: ["export the view below the pointer", openExport] });
-state.subscribe((what) => what === "tab" && showTab());
+state.subscribe((what) => {
+  if (what === "tab") showTab();
+  if (what === "events") tellEvents();
+});
 showTab();
 showMotion().catch(() => {}); // the strip without its shading still says the time
 mountJobs({ ...context, refresh });

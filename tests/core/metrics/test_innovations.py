@@ -49,7 +49,15 @@ def test_a_wrong_r_is_advised_back_whatever_the_outliers(truth: float, dof: int,
     assert advice is not None
     assert advice.low < advice.factor < advice.high
     assert advice.factor == pytest.approx(truth, rel=0.25)
+    assert advice.single
     assert advice.fits or not 0.9 < truth < 1.1
+
+
+def test_no_single_r_fits_a_sensor_that_is_mostly_fine_and_often_far_off() -> None:
+    nis = draws(2000, 1, 3) * np.where(np.arange(2000) % 4 == 0, 100.0, 0.5)
+    advice = check_innovations(nis, 1, np.ones(2000, bool)).advice
+    assert advice is not None and not advice.single and not advice.fits
+    assert advice.factor < 1.5 and advice.wide > 4 * advice.factor
 
 
 def test_the_interval_of_the_advice_is_honest() -> None:
