@@ -28,6 +28,7 @@ PAGES: dict[str, str] = {
     "odometry": "Calibrating wheels, gyro and mounts",
     "firmware": "Firmware",
     "events": "Events: slips, blows, dead encoders",
+    "gap": "The gap: where, which, how far",
     "numbers": "What each number means",
     "figures": "Figures, honestly",
     "run-format": "The run format",
