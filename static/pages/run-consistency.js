@@ -138,13 +138,26 @@ function running({ running: r, dof }, span) {
   const top = Math.max(r.band[1], ...r.mean.map((v) => v ?? 0));
   return {
     series: {
-      nis: { t: r.t, y: positive(r.mean), total: r.readings - r.rejected, shown: r.t.length },
+      nis: { ...broken(r.t, positive(r.mean)), total: r.readings - r.rejected, shown: r.t.length },
       expected: flat(span, dof),
       refused: { t: r.rejected_t, y: r.rejected_t.map(() => top), total: r.rejected, shown: r.rejected_t.length },
     },
     bands: { expected: bandOf(span, r.band) },
     gaps: [],
   };
+}
+
+// No line over a stretch without readings, as where the wheels stood.
+function broken(t, y) {
+  const steps = t.slice(1).map((v, i) => v - t[i]).sort((a, b) => a - b);
+  const longest = 5 * (steps[steps.length >> 1] ?? 0);
+  const out = { t: [], y: [] };
+  t.forEach((v, i) => {
+    if (i && v - t[i - 1] > longest) [out.t, out.y].forEach((column, k) => column.push(k ? null : (v + t[i - 1]) / 2));
+    out.t.push(v);
+    out.y.push(y[i]);
+  });
+  return out;
 }
 
 function neesCurve(nees, span) {
