@@ -78,7 +78,7 @@ export function createEffects(host, { effects, source, reach, values, onMove }) 
     const field = h("input", { type: "number", step: "any", "aria-label": `${label}, value` });
     const toggle = scale.optional ? h("input", { type: "checkbox", "aria-label": `${label}, on` }) : null;
     const tick = scale.optional ? null : h("i", { class: "tick" });
-    const root = h("div", { class: "parameter", "data-parameter": p.name }, h("span", { "data-hint": bounds }, p.name), h("span", { class: "slider" }, toggle, range, tick), field, h("span", { class: "unit" }, human.unit));
+    const root = h("div", { class: "parameter", "data-parameter": p.name }, h("span", { "data-hint": bounds }, p.name), h("span", { class: "slider" }, toggle, range, tick), field, h("span", { class: "unit" }, human.unit), h("span", { class: "ends", "data-hint": bounds }, ends(scale, human)));
     if (tick) tick.style.left = `calc(8px + ${(Math.min(Math.max(scale.toPosition(p.neutral), scale.min), scale.max) - scale.min) / (scale.max - scale.min)} * (100% - 16px))`;
     const move = (value) => {
       set(effect, p, value);
@@ -163,6 +163,11 @@ export function createEffects(host, { effects, source, reach, values, onMove }) 
     const order = effects.map((e) => e.id);
     return [...home.children].find((c) => c.dataset.effect && order.indexOf(c.dataset.effect) > order.indexOf(effect.id)) ?? null;
   }
+}
+
+// The range of the slider at its ends; the field takes what lies beyond, as far as it is physical.
+function ends(scale, human) {
+  return [scale.min, scale.max].map((p) => h("span", {}, number(Number(scale.toValue(p).toFixed(9)) * human.factor, 2)));
 }
 
 // Neutral is easy to hit again.

@@ -58,7 +58,7 @@ export function createStreams(host, { clock, source, lines, onSight }) {
     const rests = recorded ? [line("nominal", "residual_nominal"), line("patched", "residual_patched")] : [line("patched", "difference", "patched − nominal")];
     const load = (keys) => async () => ({ series: Object.fromEntries(keys.map((key) => [key, series(pair.column, key, human.factor)])), bands: {}, gaps: [] });
     const id = column.replace(".", "-");
-    const spec = { unit: human.unit, clock, compact: true };
+    const spec = { unit: human.unit, clock };
     return [
       createChart(pair.root.children[0], { ...spec, id, title: column, help: label, series: readings, load: load(readings.map((r) => r.key)), fileName: `sandbox-${id}` }),
       createChart(pair.root.children[1], { ...spec, id: `${id}-rest`, title: recorded ? "residual" : "difference", term: "sandbox_residual", series: rests, load: load(rests.map((r) => r.key)), fileName: `sandbox-${id}-residual` }),

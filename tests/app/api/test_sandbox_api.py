@@ -1,0 +1,139 @@
+"""The sandbox over REST: what it gives is what the simulator gives, the gap falls with the true effect, files leave."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+
+from core.effects import EFFECTS
+from core.effects.chosen import effects_of
+from core.formats import write_run
+from core.simulation import simulate
+from core.simulation.scenarios import SCENARIOS, Rates
+
+MOVE = "/api/v1/sandbox/simulate"
+TRUE = {"track_width": {"scale": 1.04}}
+DRIVE = SCENARIOS["in-place"]
+
+
+def moved(server: TestClient, **move: Any) -> dict[str, Any]:
+    answer = server.post(MOVE, json=move)
+    assert answer.status_code == 200, answer.text
+    found: dict[str, Any] = answer.json()
+    return found
+
+
+@pytest.fixture(scope="module")
+def driven(server: TestClient, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A run of a robot whose track is 4 % wider than its simulator thinks."""
+    path = tmp_path_factory.mktemp("sandbox") / "real.zip"
+    run = DRIVE.run(Rates(commands=20, wheels=20, imu=50, beacon=5, ranges=0, truth=20))
+    write_run(simulate(run, TRUE, 7), path, "zip-parquet")
+    answer = server.post("/api/v1/runs", params={"filename": "real.zip"}, content=path.read_bytes())
+    assert answer.status_code in (200, 201), answer.text
+    found: str = answer.json()["id"]
+    return found
+
+
+def test_a_scenario_gives_what_the_simulator_gives(server: TestClient) -> None:
+    found = moved(server, scenario="in-place", effects=TRUE, points=20_000, path_points=50_000)
+    core = simulate(DRIVE.run(), TRUE, 0, noise=False)
+    assert core.imu is not None and core.truth is not None and core.truth.x is not None
+    gz = next(s for s in found["streams"] if s["column"] == "imu.gz")
+    assert gz["shown"] == gz["total"] == len(core.imu)
+    assert np.allclose(gz["patched"], core.imu.gz, atol=1e-6) and not np.allclose(gz["nominal"], core.imu.gz, atol=1e-3)
+    patched = next(p for p in found["paths"] if p["method"] == "patched")
+    assert np.allclose(patched["x"], core.truth.x, atol=1e-4)
+    assert found["gap"] is None and "scenario" in found["no_gap"]
+    assert "real" not in gz and "residual_patched" not in gz
+
+
+def test_the_true_effect_takes_the_gap_to_the_floor(server: TestClient, driven: str) -> None:
+    nominal, patched = moved(server, run=driven, effects={}), moved(server, run=driven, effects=TRUE)
+    before, gap = nominal["gap"], patched["gap"]
+    assert before["now"] == pytest.approx(before["before"]) and before["shrink"] == pytest.approx(0.0)
+    assert gap["before"] == pytest.approx(before["before"])
+    assert gap["before"] > 2.0 * gap["now"] and gap["now"] < 1.5 * gap["floor"]
+    assert gap["shrink"] > 0.85
+    gz = next(s for s in patched["streams"] if s["column"] == "imu.gz")
+    rest, left = (np.std(gz[key]) for key in ("residual_nominal", "residual_patched"))
+    assert left < 0.5 * rest
+    assert {p["method"] for p in patched["paths"]} == {"real", "nominal", "patched"}
+
+
+def test_noise_effects_are_told_by_their_level(server: TestClient, driven: str) -> None:
+    gap = moved(server, run=driven, effects={**TRUE, "gyro_noise": {"factor": 2.0}})["gap"]
+    assert gap["streams"]["imu.gz"]["now"] == pytest.approx(1.0)
+
+
+def test_a_stretch_and_its_columns_can_be_chosen(server: TestClient, driven: str) -> None:
+    found = moved(server, run=driven, start=5.0, end=15.0, t0=7.0, t1=8.0, streams=["imu.gz"], points=30)
+    assert (found["source"]["start"], found["source"]["end"]) == pytest.approx((5.0, 15.0), abs=0.1)
+    (gz,) = found["streams"]
+    assert 6.9 < gz["t"][0] and gz["t"][-1] < 8.1 and gz["shown"] < gz["total"] <= 55
+    real, nominal = found["paths"][0], found["paths"][1]
+    assert np.hypot(real["x"][0] - nominal["x"][0], real["y"][0] - nominal["y"][0]) < 0.1
+
+
+def test_a_run_without_commands_says_what_it_cannot_show(server: TestClient, run_id: str) -> None:
+    found = moved(server, run=run_id, effects={"track_width": {"scale": 1.1}})
+    assert "commands" in found["source"]["idle"]["motor_lag"]
+    assert "track_width" not in found["source"]["idle"]
+    assert found["gap"]["now"] > found["gap"]["before"]
+
+
+@pytest.mark.parametrize(
+    ("move", "status", "parameter"),
+    [
+        ({"scenario": "straight", "effects": {"track_width": {"scale": 9.0}}}, 422, "track_width.scale"),
+        ({"scenario": "straight", "effects": {"track_width": {"scole": 1.0}}}, 422, "track_width.scole"),
+        ({"scenario": "straight", "effects": {"no_such": {"x": 1.0}}}, 422, "no_such"),
+        ({"scenario": "nowhere"}, 422, "scenario"),
+        ({"scenario": "straight", "simulator": "nobody"}, 422, "simulator"),
+        ({"scenario": "straight", "streams": ["imu.az"]}, 422, "streams"),
+        ({"scenario": "straight", "start": 9.0, "end": 2.0}, 422, "end"),
+        ({}, 422, "run"),
+        ({"run": "0000000000000000"}, 404, None),
+    ],
+)
+def test_what_is_wrong_is_named(server: TestClient, move: dict[str, Any], status: int, parameter: str | None) -> None:
+    answer = server.post(MOVE, json=move)
+    assert answer.status_code == status and answer.headers["content-type"] == "application/problem+json"
+    assert answer.json()["where"].get("parameter") == parameter
+
+
+def test_the_table_and_the_scenarios_are_whole(server: TestClient) -> None:
+    table = {e["id"]: e for e in server.get("/api/v1/effects").json()["items"]}
+    assert list(table) == list(EFFECTS)
+    limit = table["speed_limit"]["parameters"][0]
+    assert limit["neutral"] is None and limit["high"] is None and limit["unit"] == "m/s"
+    drives = server.get("/api/v1/scenarios").json()
+    assert [s["name"] for s in drives["scenarios"]] == list(SCENARIOS)
+    assert drives["simulators"] == ["nominal"]
+
+
+def test_effects_leave_as_files(server: TestClient, driven: str) -> None:
+    effects = {**TRUE, "bump": {"time": 3.0, "turn": 0.1}}
+    told = server.post("/api/v1/exports/effects/sdf", json={"run": driven, "effects": effects, "form": "json"}).json()
+    assert "track_width" in told["expressed"] and "bump" in told["missing"]
+    params = {"run": driven, "effects": json.dumps(effects)}
+    file = server.get("/api/v1/exports/effects/sdf", params=params)
+    assert file.text == told["text"] and told["file_name"] in file.headers["content-disposition"]
+    plain = server.get("/api/v1/exports/effects/json", params=params)
+    assert effects_of(plain.json())["track_width"] == TRUE["track_width"]
+    assert {t["name"] for t in server.get("/api/v1/exports/effects").json()} >= {"json", "sdf", "ros2_control", "mjcf"}
+    wrong = server.get("/api/v1/exports/effects/sdf", params={"run": driven, "effects": "[1]"})
+    assert wrong.status_code == 422 and wrong.json()["where"]["parameter"] == "effects"
+    assert server.get("/api/v1/exports/effects/word", params=params).status_code == 422
+
+
+def test_few_stretches_are_kept(server: TestClient, driven: str, tmp_path: Path) -> None:
+    kept = server.app.state.sandbox._kept  # type: ignore[attr-defined]  # how much memory it may take
+    for k in range(10):
+        moved(server, run=driven, end=8.0 + 0.5 * k, streams=[])
+    assert len(kept) == 8
