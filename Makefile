@@ -12,6 +12,7 @@ run: $(VENV)/.run
 	@exec $(BIN)/driftscope serve --demo --port $(PORT)
 
 test: $(VENV)/.test browser board check
+	@$(BIN)/python -m app.warm
 	@$(BIN)/python -m pytest -n $(PYTEST_WORKERS) --dist loadgroup
 
 check: $(VENV)/.test
@@ -29,6 +30,8 @@ $(VENV)/.run: requirements.lock pyproject.toml app/build/hatch_build.py app/buil
 	@$(PIP) install --require-hashes -r requirements.lock
 	@command -v npm >/dev/null || $(PIP) install --require-hashes -r requirements-npm.lock
 	@$(PIP) install --no-deps --no-build-isolation -e .
+	@echo "compiling (once, a minute) ..."
+	@$(BIN)/python -m app.warm
 	@touch $@
 
 $(VENV)/.test: $(VENV)/.run requirements-dev.lock

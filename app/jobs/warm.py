@@ -35,7 +35,7 @@ def short_drive(seconds: float = 4.0, rate: float = 50.0) -> Run:
     return Run(
         meta=RunMeta(robot=RobotParams(wheel_radius=0.05, track_width=0.3), start=Pose()),
         wheels=WheelLog(t, angle, angle),
-        imu=ImuLog(t, zero),
+        imu=ImuLog(t, zero, ax=zero, ay=zero),
         beacon=BeaconLog(t[::10], x[::10].astype(np.float32), zero[::10]),
         truth=TruthLog(t, x.astype(np.float32), zero, zero),
     )

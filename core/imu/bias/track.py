@@ -74,6 +74,8 @@ def track_bias(run: Run, method: str, config: SegmentConfig | FilterConfig | Non
     if run.imu is None or not len(run.imu):
         raise MissingStreamError("the run has no gyro readings", method=method, missing="imu.gz")
     imu, notes = _usable(run.imu)
+    # one type of array, whatever was recorded or is mapped from disk: the kernels are compiled once
+    imu = replace(imu, gz=np.array(imu.gz, dtype=np.float64))
     least, most = float(imu.gz.min()), float(imu.gz.max())
     if least == most:
         notes += (f"All {len(imu)} readings are {least:g} rad/s: the gyro may be dead. The bias is taken as that.",)

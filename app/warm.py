@@ -1,0 +1,61 @@
+"""Compile every kernel into numba's cache, on two cores: `python -m app.warm`. Run at install, so that no user waits.
+
+Compiled code is found again by later processes as long as its source is unchanged; then this takes seconds.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+
+
+def paths() -> None:
+    """Every method of estimation on an invented drive, and its judging."""
+    from app.jobs.warm import warm_up
+
+    warm_up()
+
+
+def inertial() -> None:
+    """Allan deviation, gyro bias by every method, simulator."""
+    import numpy as np
+
+    from core.imu.allan import allan
+    from core.imu.bias import track_bias
+    from core.simulation import simulate, warm
+    from core.simulation.scenarios import SCENARIOS
+
+    warm()
+    run = simulate(SCENARIOS["corridor"].run(), {}, 0)
+    assert run.imu is not None and run.imu.gz is not None
+    allan(run.imu.t, np.asarray(run.imu.gz, np.float64))
+    for method in ("A", "B", "C", "best", "smoothed"):
+        track_bias(run, method)
+
+
+def gap() -> None:
+    """The diagnosis, on a short drive with a wider track than simulated."""
+    from core.gap import diagnose
+    from core.simulation import simulate
+    from core.simulation.scenarios import SCENARIOS
+
+    run = SCENARIOS["figure-eight"].run()
+    diagnose([simulate(run, {"track_width": {"scale": 1.05}}, 0).crop(0.0, 30.0)])
+
+
+PARTS: dict[str, tuple[Callable[[], None], ...]] = {"paths": (paths,), "inertial": (inertial, gap)}
+
+
+def main() -> int:
+    """One process per part; 0 when all compiled."""
+    if len(sys.argv) > 1:
+        for part in PARTS[sys.argv[1]]:
+            part()
+        return 0
+    running = [subprocess.Popen([sys.executable, "-m", "app.warm", part]) for part in PARTS]
+    return max(process.wait() for process in running)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
