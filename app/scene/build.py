@@ -16,6 +16,8 @@ with frames of its own to choose theme and methods, so that only poses travel af
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +29,7 @@ from app.scene.style import BEACON, EVENT_OTHER, EVENTS, FIXES, THEME, THEMES, s
 
 MAX_BEACONS = 200
 MAX_EVENTS = 200
-MAX_NAMED = 24  # events whose names can still be read beside each other
+CROWD = 1 / 10  # of the scene: events nearer to each other share one label
 CANDIDATES = 240  # rows of a path where an ellipse may stand
 WIDEST = 0.2  # half axis of the widest ellipse drawn, as a share of the scene
 SIGMAS = 2.0
@@ -76,8 +78,10 @@ def add_run(server: viser.ViserServer, data: SceneData, theme: str | None = None
             add_ground(scene, f"/world/ground/{name}", sizes, name)
         for name, position in list(data.beacons.items())[:MAX_BEACONS]:
             add_beacon(scene, f"/world/beacons/{slug(name)}", name, position, sizes)
-        for i, event in enumerate(data.events[:MAX_EVENTS]):
-            add_event(scene, f"/world/events/{i}", event, sizes, named=len(data.events) <= MAX_NAMED)
+        shown = data.events[:MAX_EVENTS]
+        names = event_labels(shown, sizes.extent.size * CROWD)
+        for i, event in enumerate(shown):
+            add_event(scene, f"/world/events/{i}", event, sizes, names[i])
         if len(data.fixes):
             _add_fixes(scene, data, sizes)
         for layer, path in enumerate(data.paths):
@@ -130,7 +134,21 @@ def add_beacon(
     scene.add_label(f"{name}/label", text, position=(0, 0, z + sizes.unit * 1.4), anchor="bottom-center")
 
 
-def add_event(scene: viser.SceneApi, name: str, event: SceneEvent, sizes: Layout, *, named: bool) -> None:
+def event_labels(events: Sequence[SceneEvent], apart: float) -> list[str]:
+    """A label per event, empty where one nearer than `apart` [m] speaks for it: `slip, collision × 2`."""
+    speakers: list[int] = []
+    kinds: dict[int, Counter[str]] = {}
+    for i, event in enumerate(events):
+        near = (j for j in speakers if np.hypot(events[j].x - event.x, events[j].y - event.y) < apart)
+        speaker = next(near, i)
+        if speaker == i:
+            speakers.append(i)
+        kinds.setdefault(speaker, Counter())[event.kind.replace("_", " ")] += 1
+    texts = {i: ", ".join(k if n == 1 else f"{k} × {n}" for k, n in count.items()) for i, count in kinds.items()}
+    return [texts.get(i, "") for i in range(len(events))]
+
+
+def add_event(scene: viser.SceneApi, name: str, event: SceneEvent, sizes: Layout, label: str) -> None:
     """A pin with the event's name: an edged head for what befell robot or wheels, a round one for beacon and place."""
     colour, corners = EVENTS.get(event.kind, EVENT_OTHER)
     unit = sizes.unit
@@ -139,9 +157,8 @@ def add_event(scene: viser.SceneApi, name: str, event: SceneEvent, sizes: Layout
     scene.add_line_segments(f"{name}/pin", pin, colour, thickness=1.5, thickness_units="screen")
     scene.add_icosphere(f"{name}/head", radius=0.7 * unit, color=colour, subdivisions=corners,
                         flat_shading=corners < 3, position=(0, 0, 2.8 * unit), cast_shadow=False)  # fmt: skip
-    if named:
-        text = f"{event.kind.replace('_', ' ')}  {event.t0:.1f} s"
-        scene.add_label(f"{name}/label", text, position=(0, 0, 3.8 * unit), anchor="bottom-center")
+    if label:
+        scene.add_label(f"{name}/label", label, position=(0, 0, 3.8 * unit), anchor="bottom-center")
 
 
 def _add_fixes(scene: viser.SceneApi, data: SceneData, sizes: Layout) -> None:

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from scene_world import DURATION, scene_data
 
 from app.scene import shapes
+from app.scene.build import event_labels
 from app.scene.cursor import Cursor, check_change
-from app.scene.data import ScenePath, Spread
+from app.scene.data import ScenePath, Spread, events_on
 from core.errors import ParameterError
 
 
@@ -176,3 +177,15 @@ def test_ellipses_along_a_path_stand_clear_of_each_other() -> None:
     assert radius[chosen].min() > 0.0
     gaps = np.diff(centres[chosen, 0])
     assert (gaps >= np.maximum(0.5, 0.8 * (radius[chosen][1:] + radius[chosen][:-1])) - 1e-9).all()
+
+
+def test_events_stand_on_their_path_and_share_labels_where_they_crowd() -> None:
+    t = np.arange(11.0)
+    path = ScenePath("fused", "Fused", t, t, 0 * t, 0 * t)
+    found = [
+        {"kind": k, "t0": at} for k, at in (("slip", 2.5), ("collision", 2.6), ("slip", 2.7), ("beacon_loss", 9.0))
+    ]
+    events = events_on(path, found)
+    assert [(e.kind, e.x) for e in events] == [("slip", 2.5), ("collision", 2.6), ("slip", 2.7), ("beacon_loss", 9.0)]
+    assert event_labels(events, 1.0) == ["slip × 2, collision", "", "", "beacon loss"]
+    assert event_labels(events, 0.01) == ["slip", "collision", "slip", "beacon loss"]

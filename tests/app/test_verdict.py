@@ -7,6 +7,7 @@ import math
 from hypothesis import given
 from hypothesis import strategies as st
 
+from app.figures.consistency import sentence
 from app.figures.verdict import Case, Judged, lead_of, verdict
 
 DEGREE_PER_HOUR = math.radians(1) / 3600
@@ -84,3 +85,33 @@ def test_the_lead_has_the_smallest_error_of_those_judged(found: list[tuple[str, 
     lead = lead_of(estimates)
     assert lead.metrics["ate_rmse_m"] == (min(errors) if errors else None)
     assert verdict(Case(10, estimates)).endswith(".")
+
+
+def test_fused_leads_and_hindsight_is_told_beside_it() -> None:
+    paths = [judged("encoders", 0.94, 0.6), judged("fused", 0.021, 0.03), judged("smoothed", 0.018, 0.01)]
+    assert lead_of(paths).method == "fused"
+    assert verdict(Case(1200, paths)) == "Fused path ends 2.1 cm from truth (encoders 0.940 m, smoothed 1.8 cm)."
+    unjudged = [Judged("smoothed", {}), Judged("fused", {})]
+    assert lead_of(unjudged).method == "fused"
+
+
+def test_dismissed_events_are_not_counted() -> None:
+    events = [{"kind": "slip", "t0": 3.0, "t1": 3.5, "decision": "dismissed"}, {"kind": "pushed", "t0": 9.0, "t1": 9.2}]
+    assert verdict(Case(60, [Judged("fused", {}, events)])).endswith("1 push.")
+
+
+def test_the_noise_advice_names_the_sensor_and_the_factor() -> None:
+    def sensor(factor: float, *, fits: bool = False, single: bool = True) -> dict[str, object]:
+        advice = {"factor": factor, "low": 0.8 * factor, "high": 1.2 * factor, "wide": 30.0, "fits": fits}
+        return {"advice": {**advice, "single": single}, "whiteness": None}
+
+    def said(**sensors: dict[str, object]) -> str:
+        return sentence({"sensors": {k.replace("_", "."): v for k, v in sensors.items()}, "nees": None})
+
+    assert said(beacon_position=sensor(0.09), wheels_turn=sensor(0.001)) == (
+        "Fixes stray 0.30 times as far as the filter expects: R should be about 0.090 times (0.072 to 0.11). "
+        "1 more of 2 sensors do not fit."
+    )
+    assert said(ranges=sensor(1.1, fits=True)) == "Every sensor is about as noisy as the filter expects."
+    assert "half of them call for 1.0 times R, the widest tenth for 30 times" in said(ranges=sensor(1.0, single=False))
+    assert "estimate again" in sentence(None)
