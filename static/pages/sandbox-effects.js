@@ -93,7 +93,7 @@ export function createEffects(host, { effects, source, reach, values, onMove }) 
       range.value = String(Number(range.value) + step * (event.shiftKey ? 2 : 12));
       range.dispatchEvent(new Event("input"));
     });
-    range.addEventListener("keyup", (event) => event.key.startsWith("Arrow") && arrange(range));
+    range.addEventListener("keyup", (event) => /^(Arrow|Page)/.test(event.key) && arrange(range));
     field.addEventListener("input", () => field.value !== "" && Number.isFinite(field.valueAsNumber) && move(field.valueAsNumber / human.factor));
     field.addEventListener("change", () => (field.value === "" && move(p.neutral), arrange(field)));
     toggle?.addEventListener("change", () => (move(toggle.checked ? 1 : null), arrange(toggle)));
