@@ -82,6 +82,7 @@ def _allan(options: argparse.Namespace) -> int:
     from core.errors import MissingStreamError, NotEnoughDataError, ParameterError
     from core.imu.allan import allan
     from core.imu.noise import fit_noise
+    from core.imu.units import degrees
 
     axis = options.axis.removeprefix("imu.")
     if axis not in AXES:
@@ -92,6 +93,8 @@ def _allan(options: argparse.Namespace) -> int:
         raise MissingStreamError(f"the run has no imu.{axis}", missing=f"imu.{axis}")
     curve = allan(run.imu.t, values)
     notes, fit = curve.notes, None
+    if axis.startswith("g"):
+        notes += degrees(run.imu.t, values, rested=True)
     try:
         fit = fit_noise(curve)
         notes += fit.notes

@@ -169,6 +169,7 @@ def allan(case: Case, axis: str) -> Made:
     from core.imu.allan import allan_of
     from core.imu.grid import to_grid
     from core.imu.noise import fit_noise
+    from core.imu.units import degrees
 
     values, t = case.values(axis), case.run.imu.t
     still = case.still()
@@ -177,6 +178,8 @@ def allan(case: Case, axis: str) -> Made:
     record = to_grid(t, values if still is None or not rest_only else np.where(still, values, np.nan))
     curve = allan_of(record)
     notes = [*_told(rest_only, share), *(n for n in curve.notes if not (rest_only and "missing" in n))]
+    if axis.startswith("g"):
+        notes = [*degrees(t, values, rested=still is None or rest_only), *notes]
     figures: dict[str, Any] = {"tau0": curve.tau0, "duration": curve.duration, "jitter": record.jitter}
     figures |= {"readings": "rest" if rest_only else "whole", "rest_share": share}
     model = np.full(len(curve.tau), np.nan)

@@ -82,3 +82,12 @@ def test_a_run_without_gyro_is_refused(tmp_path: Path, capsys: pytest.CaptureFix
     status = main(["bias", str(tmp_path / "wheels"), "--method", "best", "--out", str(tmp_path / "x.csv")])
     assert status == 2
     assert "no gyro" in capsys.readouterr().err
+
+
+def test_allan_asks_about_degrees(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rate = 2e-3 * np.random.default_rng(1).standard_normal(5000)
+    for name, scale in (("si", 1.0), ("degrees", 57.3)):
+        run = Run(imu=ImuLog(np.arange(5000) / 50, scale * rate))
+        write_run(run, tmp_path / name, "folder-csv")
+        assert main(["allan", str(tmp_path / name)]) == 0
+        assert ("deg/s" in capsys.readouterr().err) == (name == "degrees")

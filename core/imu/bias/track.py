@@ -12,11 +12,10 @@ from core.imu.bias.filtered import FilterConfig, best, smoothed
 from core.imu.bias.integral import curve_stamps
 from core.imu.bias.result import ACCEPTED, BiasEstimate, SegmentVerdicts
 from core.imu.bias.segment_methods import SegmentConfig, method_a, method_b, method_c
+from core.imu.units import degrees
 from core.run import Run
 from core.sensors import ImuLog
 
-LARGEST = 35.0  # rad/s: 2000 deg/s, the widest range of a MEMS gyro
-NOISIEST_DENSITY = 0.004  # rad/s/sqrt(Hz), at rest; a MEMS gyro has a tenth of it
 DEAD = 3.0  # s without a change
 SLOWEST = 1.5  # s from reading to reading
 
@@ -115,16 +114,9 @@ def _oddities(imu: ImuLog, least: float, most: float, made: BiasEstimate) -> tup
     from core.imu.bias._blocks_numba import at_limit, longest_repeat
 
     notes: tuple[str, ...] = ()
-    largest = max(abs(least), abs(most))
     step = float(imu.t[-1] - imu.t[0]) / (len(imu.t) - 1)
-    # White noise shows from reading to reading, whatever the movement.
-    white = 1.4826 * float(np.median(np.abs(np.diff(imu.gz[:200_000])))) / np.sqrt(2)
     rested = float((made.segments.verdict == ACCEPTED).mean()) > 0.1 and step < SLOWEST
-    if largest > LARGEST or (rested and white * np.sqrt(step) > NOISIEST_DENSITY):
-        notes += (
-            f"The readings reach {largest:.4g} rad/s: are they in deg/s? "
-            f"Wanted are rad/s, {180 / np.pi:.4g} times less.",
-        )
+    notes += degrees(imu.t, imu.gz, rested=rested)
     stuck = at_limit(imu.gz, least, most)
     if stuck >= 3 and most - least > 0.2:
         notes += (
