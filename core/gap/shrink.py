@@ -162,10 +162,15 @@ def _block_sums(before: Replay, after: Replay, names: Sequence[str]) -> Array:
     return np.array(
         [
             [len(before.values[n]) for n in names],
-            [float(before.values[n] @ before.values[n]) for n in names],
-            [float(after.values[n] @ after.values[n]) for n in names],
+            [_square(before.values[n]) for n in names],
+            [_square(after.values[n]) for n in names],
         ]
     )
+
+
+def _square(values: Array) -> float:
+    """Sum of squares, without waking a pool of threads for it."""
+    return float(np.einsum("i,i->", values, values))
 
 
 def _gap(

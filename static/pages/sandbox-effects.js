@@ -156,7 +156,7 @@ export function createEffects(host, { effects, source, reach, values, onMove }) 
       if (home === changed) changed.append(root);
       else home.insertBefore(root, after(effect, home));
     }
-    focus?.focus({ preventScroll: true });
+    focus?.focus(); // where it now is comes into sight
   }
 
   function after(effect, home) {
