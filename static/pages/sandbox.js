@@ -117,7 +117,7 @@ function paintGap({ gap, no_gap: why }) {
     h("span", { "data-term": "sandbox_gap" }, "Gap ", h("b", { id: "gap-now" }, number(gap.now)), " × the noise"),
     h("span", { class: "dim" }, `nominal `, h("span", { id: "gap-before" }, number(gap.before)), `, floor ${number(gap.floor)}`),
     h("div", { class: "gap-bar", role: "img", "aria-label": `gap ${number(gap.now)}, nominal ${number(gap.before)}, floor ${number(gap.floor)}` }, bars.map(([n, v]) => bar(n, v)), bar("floor", gap.floor)),
-    h("span", { class: "dim" }, gap.shrink === null ? "nothing above the floor" : `${number(100 * gap.shrink)} % of it gone`),
+    h("span", { class: "dim" }, gap.shrink === null ? "nothing above the floor" : `${number(Math.abs(100 * gap.shrink))} % ${gap.shrink < 0 ? "more" : "of it gone"}`),
   );
   const verb = gap.now < gap.before * 0.995 ? "falls" : gap.now > gap.before * 1.005 ? "rises" : "stays";
   $("#verdict").textContent = names.length ? `With ${names.join("; ")} the gap ${verb}${verb === "stays" ? " at" : ` from ${number(gap.before)} to`} ${number(gap.now)} times the noise (floor ${number(gap.floor)}).` : `The simulator as it is: ${number(gap.before)} times the noise, floor ${number(gap.floor)}. Move an effect.`;
