@@ -89,7 +89,7 @@ def test_theme_and_methods_are_the_pages(new_page: Callable[..., Page], mission:
     before = until(page, lambda: viewers(page, mission["id"]).get(key))
     assert before["theme"] == "dark"
     assert (before["playing"], before["leader"]) == (False, "fused")
-    page.keyboard.press("2")
+    page.keyboard.press("1")
     after = until(page, lambda: (v := viewers(page, mission["id"])[key])["methods"] != before["methods"] and v)
     assert set(after["methods"]) ^ set(before["methods"]) == {"encoders"}
 
