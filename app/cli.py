@@ -154,7 +154,8 @@ def write_path(made: Estimate, out: Path) -> None:
     sd = path.sd
     if sd is not None:
         columns |= {"sd_x": sd[:, 0], "sd_y": sd[:, 1], "sd_theta": sd[:, 2]}
-    pl.DataFrame(columns).fill_nan(None).write_csv(out)
+    text = pl.DataFrame(columns).fill_nan(None).write_csv()
+    out.write_text(text, encoding="utf-8")
 
 
 def published(run: Run, made: Estimate, runtime: float) -> dict[str, Any]:

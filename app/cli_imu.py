@@ -57,7 +57,8 @@ def write_bias(made: BiasEstimate, out: Path) -> None:
     import polars as pl
 
     table = pl.DataFrame({"t": made.t, "theta": made.theta, "bias": made.bias, "accepted": made.accepted})
-    table.with_columns(pl.col("accepted").cast(pl.Int8)).fill_nan(None).write_csv(out)
+    text = table.with_columns(pl.col("accepted").cast(pl.Int8)).fill_nan(None).write_csv()
+    out.write_text(text, encoding="utf-8")
 
 
 def bias_json(run: Run, made: BiasEstimate, runtime: float) -> dict[str, Any]:

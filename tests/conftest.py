@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from fastapi import FastAPI
 from fastapi.testclient import TestClient
+from hypothesis import settings as hypothesis_settings
 
 from app.db.migrate import migrate
 from app.db.session import make_engine, writing
@@ -21,6 +22,10 @@ from core.formats import write_run
 from core.robot import RobotParams
 from core.run import Run, RunMeta
 from core.sensors import BeaconLog, ImuLog, RangeLog, TruthLog, WheelLog
+
+# The same cases on every machine, and no verdict on how fast that is.
+hypothesis_settings.register_profile("driftscope", deadline=None, derandomize=True)
+hypothesis_settings.load_profile("driftscope")
 
 
 @pytest.fixture

@@ -190,10 +190,10 @@ def _entry_point(digest: int) -> Callable[..., int]:
             t, a, kind, flags, k = events.t[e], events.data[e], events.kind[e], events.flags[e], -1
             if flags & STRANGE:
                 mem[T_STRANGE] = t
-            if flags & REST == 0 or flags & CARRIED:
+            if flags & CARRIED:
                 mem[RESTING] = 0.0
-            elif kind == OUT:
-                mem[RESTING] = 1.0 if _at_rest(x, P, a[0], mem, c) else 0.0
+            elif kind == OUT:  # rest is told with the IMU's readings; others on the way to one do not end it
+                mem[RESTING] = 1.0 if flags & REST != 0 and _at_rest(x, P, a[0], mem, c) else 0.0
             if record:
                 k = e - begin
                 rec.marks[k + 1, 0] = rec.marks[k, 0]

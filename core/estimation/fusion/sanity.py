@@ -84,7 +84,7 @@ def _turning(run: Run, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
     turned = np.concatenate(([0.0], np.cumsum(0.5 * (gz[1:] + gz[:-1]) * np.minimum(np.diff(t), 1.0))))
     by_gyro = np.diff(np.interp(grid, t, turned))
     by_wheels = np.diff(np.interp(grid, path.t, path.turn))
-    if np.sqrt(np.mean(by_wheels**2)) < TURNS * WINDOW:
+    if np.sqrt(np.mean(by_wheels**2)) < TURNS * WINDOW or np.ptp(by_gyro) == 0 or np.ptp(by_wheels) == 0:
         return run, ()
     agreement = float(np.corrcoef(by_gyro, by_wheels)[0, 1])
     slope = float(np.median(np.abs(by_gyro)[_large(by_wheels)] / np.abs(by_wheels)[_large(by_wheels)]))
