@@ -11,6 +11,7 @@ import pytest
 from fastapi import FastAPI
 from fastapi.testclient import TestClient
 from hypothesis import settings as hypothesis_settings
+from xdist.scheduler import LoadScopeScheduling
 
 from app.db.migrate import migrate
 from app.db.session import make_engine, writing
@@ -26,6 +27,24 @@ from core.sensors import BeaconLog, ImuLog, RangeLog, TruthLog, WheelLog
 # The same cases on every machine, and no verdict on how fast that is.
 hypothesis_settings.register_profile("driftscope", deadline=None, derandomize=True)
 hypothesis_settings.load_profile("driftscope")
+
+
+class ByRoom(LoadScopeScheduling):  # type: ignore[misc]  # the package is not typed
+    """Tests of one file go to one worker; all browser tests too, which share one server and one browser."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        file = nodeid.partition("::")[0]
+        return "tests/browser" if file.startswith("tests/browser/") else file
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> ByRoom:
+    return ByRoom(config, log)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest work first: the browser's."""
+    items.sort(key=lambda item: item.get_closest_marker("browser") is None)
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import pytest
 from conftest import Server
 from playwright.sync_api import Page, expect
 
-pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("browser")]  # one server and one browser for all of them
+pytestmark = pytest.mark.browser
 
 ERROR = '[data-chart="error-xy"]'
 

@@ -10,7 +10,7 @@ import pytest
 from conftest import ROOT, Server
 from playwright.sync_api import Page, expect
 
-pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("browser")]  # one server and one browser for all of them
+pytestmark = pytest.mark.browser
 
 PLACES = ["/runs", "/compare", "/jobs", "/about"]
 

@@ -14,7 +14,7 @@ from urllib.parse import parse_qs, urlsplit
 import pytest
 from playwright.sync_api import Page, expect
 
-pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("browser")]  # one server and one browser for all of them
+pytestmark = pytest.mark.browser
 
 MAP = "[data-map]"
 ERROR = '[data-chart="error-xy"]'

@@ -17,7 +17,7 @@ import pytest
 from conftest import EXAMPLES, Server, Watch, zipped
 from playwright.sync_api import Locator, Page, expect
 
-pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("browser")]  # one server and one browser for all of them
+pytestmark = pytest.mark.browser
 
 SQUARE = EXAMPLES / "square-with-disturbance"
 

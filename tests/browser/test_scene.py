@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page
 
-pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("browser")]  # one server and one browser for all of them
+pytestmark = pytest.mark.browser
 
 PATIENCE_MS = 60_000  # software WebGL on a shared machine
 SMALL = {"width": 640, "height": 360}
