@@ -245,14 +245,39 @@ class Diagnosis(Base):
 
     __tablename__ = "diagnoses"
     id: Mapped[str] = mapped_column(String(16), primary_key=True)
-    run_ids: Mapped[list[Any]]
-    config: Mapped[dict[str, Any]]
+    name: Mapped[str] = mapped_column(String(200), server_default="")
+    robot: Mapped[str | None] = mapped_column(String(200), index=True)
+    verdict: Mapped[str] = mapped_column(String(40), server_default="none")  # of `result`, to filter by
+    notes: Mapped[str] = mapped_column(Text, server_default="")  # people's own words
+    job_id: Mapped[str | None] = mapped_column(String(16))
+    simulator: Mapped[str | None] = mapped_column(String(100))  # registered by name; null: ours
+    run_ids: Mapped[list[Any]]  # of the runs that were fitted
+    run_sha256: Mapped[list[Any]]
+    config: Mapped[dict[str, Any]]  # tolerances
     seed: Mapped[int] = mapped_column(default=0)
     code_version: Mapped[str] = mapped_column(String(80))
-    run_sha256: Mapped[list[Any]]
-    created_at: Mapped[datetime] = mapped_column(default=now)
+    created_at: Mapped[datetime] = mapped_column(default=now, index=True)
+    deleted_at: Mapped[datetime | None]
     runtime_s: Mapped[float]
-    result: Mapped[dict[str, Any]]
+    result: Mapped[dict[str, Any]]  # gap/1
+    model: Mapped[dict[str, Any]] = mapped_column(server_default="{}")  # every effect that was fitted
+    evidence: Mapped[dict[str, Any] | None] = mapped_column(deferred=True)  # gap-evidence/1; large
+    runs: Mapped[list[DiagnosisRun]] = relationship(
+        cascade="all, delete-orphan", order_by="DiagnosisRun.position", lazy="selectin"
+    )
+
+
+class DiagnosisRun(Base):
+    """A run that a diagnosis is of, as it was then: the run may be deleted, the diagnosis stays."""
+
+    __tablename__ = "diagnosis_runs"
+    diagnosis_id: Mapped[str] = mapped_column(ForeignKey("diagnoses.id", ondelete="CASCADE"), primary_key=True)
+    position: Mapped[int] = mapped_column(primary_key=True)  # those to fit first, then those held out
+    run_id: Mapped[str] = mapped_column(String(16), index=True)
+    sha256: Mapped[str] = mapped_column(String(64))
+    name: Mapped[str] = mapped_column(String(200))
+    duration_s: Mapped[float]
+    held_out: Mapped[bool]
 
 
 class Upload(Base):
