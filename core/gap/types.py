@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from core.gap.evidence import Evidence
 from core.robot import EffectSet
 
 
@@ -127,7 +128,7 @@ class Unseen:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The whole answer. `model`: every effect that was fitted, for patching the simulator."""
+    """The whole answer. `model`: every effect that was fitted, for patching the simulator; `evidence`: for a report."""
 
     verdict: str
     where: tuple[Where, ...]
@@ -144,3 +145,4 @@ class Diagnosis:
     notes: tuple[str, ...]
     link: str | None
     runtime_s: float
+    evidence: Evidence = field(default_factory=Evidence)

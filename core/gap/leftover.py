@@ -1,0 +1,53 @@
+"""What the search left unexplained: how much, of what shape, and which causes may only have stood in for it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from core.gap.explain import Search
+from core.gap.fit import refit
+from core.gap.types import Unexplained
+from core.gap.unknown import depends_on, matters, rest_of, stream_of, touching, words
+
+
+def unknown_of(found: Search, material: Sequence[str]) -> tuple[Unexplained | None, dict[str, float]]:
+    """What is left, and for each material effect the probability that it only stood in for something unlisted."""
+    doubt: dict[str, float] = {}
+    best: tuple[float, Unexplained] | None = None
+    for scope, one in zip(("wheels", "body")[-len(found.links) :], found.links, strict=True):
+        if one.unknown is not None:
+            shape, gain = one.unknown
+            told = Unexplained(stream_of(shape), depends_on(shape), words(shape, gain, 1.0), 1.0)
+            best = (gain, told) if best is None or gain > best[0] else best
+            continue
+        rest_shape, gain = found.rests[scope].best
+        if rest_shape is None:
+            continue
+        shape = rest_shape
+        stream = stream_of(shape)
+        took = one.earned
+        suspects = [name for name in touching(shape, list(one.fit.model)) if name in material]
+        crumbs = 0.01 * max((value for link in found.links for value in link.earned.values()), default=0.0)
+        if not matters(
+            gain, max(0.2 * one.tolerated.get(stream, 0.0), min(crumbs, 0.1 * max(took.values(), default=0.0) + 400.0))
+        ):
+            continue
+        if suspects:
+            rest = {name: values for name, values in one.fit.model.items() if name not in suspects}
+            bare = refit(one.problem, rest, scope, 3)
+            again = rest_of(one.problem, bare)
+            shape_again, alone = again.best
+            lost = bare.cost - one.fit.cost
+            heat = 2.0 * (1.0 + 0.01 * lost)
+            stand_in = 1.0 / (1.0 + float(np.exp(np.clip((lost - alone - gain * 0.5) / heat, -40.0, 40.0))))
+            doubt |= dict.fromkeys(suspects, stand_in)
+            if stand_in > 0.5 and shape_again is not None:
+                shape, gain, stream = shape_again, alone, stream_of(shape_again)
+        excess = max(found.rests[scope].excess.get(stream, gain), gain)
+        share = float(min(gain / max(excess, 1e-9), 1.0))
+        told = Unexplained(stream, depends_on(shape), words(shape, gain, share), share)
+        if best is None or gain > best[0]:
+            best = (gain, told)
+    return (best[1] if best else None), doubt
