@@ -305,7 +305,8 @@ class Driver(TypedDict):
 
 
 class Refused(TypedDict):
-    """A viewer's message was not obeyed; the connection stays. Codes: driving, not_driver, drive_off, schema, no_robot."""
+    """A viewer's message was not obeyed; the connection stays. Codes: driving, not_driver,
+    drive_off, schema, no_robot."""
 
     type: Literal["refused"]
     code: str
