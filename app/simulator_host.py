@@ -21,16 +21,16 @@ def main() -> None:
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     module, _, attribute = sys.argv[1].partition(":")
-    simulate = getattr(importlib.import_module(module), attribute)
     for line in sys.stdin:
         asked = json.loads(line)
         reply = {}
         try:
+            simulate = getattr(importlib.import_module(module), attribute)
             made = simulate(read_run(Path(asked["run"])), asked["effects"], asked["seed"])
             if not isinstance(made, Run):
                 raise TypeError(f"gave {type(made).__name__}, expected a Run")
             write_run(made, Path(asked["out"]), "folder-parquet")
-        except Exception as error:  # any fault of the callable is its answer
+        except Exception as error:  # any fault of the callable, or of its module, is its answer
             reply = {"error": f"{type(error).__name__}: {error}"}
         answers.write(json.dumps(reply) + "\n")
         answers.flush()

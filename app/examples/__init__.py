@@ -5,12 +5,15 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator
-
-from fastapi import FastAPI
+from typing import TYPE_CHECKING
 
 from app import paths
-from app.jobs.engine import JobEngine
-from app.settings import Settings
+
+if TYPE_CHECKING:  # `mujoco_robot` is imported alone, by the process that holds it
+    from fastapi import FastAPI
+
+    from app.jobs.engine import JobEngine
+    from app.settings import Settings
 
 LOADED = "examples.txt"  # in the data folder: names of those that were loaded
 
