@@ -1,7 +1,9 @@
-"""The diagnosis on worlds of other programs, per stratum, beside simple baselines.
+"""The diagnosis on worlds of other programs, per stratum, beside simple baselines and an oracle.
 
-python -m tests.bench.bench_gap [--cases N] [--strata single,pair,...] [--shared DIR]: one row per stratum. Baselines:
-`loudest` (the loudest stream's most usual effect), `one by one` (the effect that alone lowers the deviance most).
+python -m tests.bench.bench_gap [--cases N] [--first SEED] [--strata single,pair,...] [--shared DIR] [--lines FILE]: one
+row per stratum. Worlds: the separately written plant (`gap_plant.py`) with a little of everything wrong, and MuJoCo's
+robot (`gap_mujoco.py`). `loudest`: the loudest stream's most usual effect; `alone`: the effect that alone lowers the
+deviance most; shrinkage is told as a share of what the true effects themselves reach.
 """
 
 from __future__ import annotations
@@ -10,6 +12,8 @@ import argparse
 import json
 import sys
 import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,27 +22,40 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from core.formats import read_run  # noqa: E402
-from core.gap import diagnose  # noqa: E402
+from core.gap import Diagnosis, diagnose  # noqa: E402
 from core.gap.candidates import candidates  # noqa: E402
 from core.gap.diagnose import reach_of  # noqa: E402
 from core.gap.floor import Floor  # noqa: E402
 from core.gap.linear import Problem, linearise, with_floor  # noqa: E402
 from core.gap.reference import restarts_of  # noqa: E402
 from core.gap.selection import gains_of  # noqa: E402
+from core.gap.shrink import NOISES, figures  # noqa: E402
 from core.gap.world import make_world  # noqa: E402
 from core.run import Run  # noqa: E402
-from tests.plants.gap_draws import plans  # noqa: E402
+from tests.plants.gap_draws import draw, plans  # noqa: E402
 from tests.plants.gap_plant import Effects, record  # noqa: E402
 
-STRATA = ("null", "noise", "small", "single", "pair", "truthless", "open")
+PLANT = (
+    "null",
+    "noise",
+    "small",
+    "single",
+    "pair",
+    "open",
+    "no truth",
+    "no imu",
+    "no commands",
+)
+STRATA = (*PLANT, "mujoco null", "mujoco single", "mujoco small")
 USUAL = {
     "wheels": "motor_lag", "imu.gz": "gyro_bias", "imu.ax": "accel_bias", "imu.ay": "accel_bias",
     "beacon": "beacon_shift", "ranges": "range_bias", "truth": "track_width",
 }  # fmt: skip
 Row = dict[str, float]
+Case = tuple[list[Run], Run, Effects, str]
 
 
-def one_by_one(runs: list[Run]) -> str:
+def alone(runs: Sequence[Run]) -> str:
     """The effect that alone promises the largest drop over both links."""
     worlds = tuple(make_world(run, restarts_of(run)) for run in runs)
     problem = with_floor(Problem(worlds, Floor({}, {}, {}), runs[0].meta.effects), {})
@@ -52,31 +69,38 @@ def one_by_one(runs: list[Run]) -> str:
     return max(total, key=lambda name: total[name])
 
 
-def score(runs: list[Run], held: list[Run], answer: Effects, outside: bool) -> tuple[Row, str]:
-    """Figures of one case, and a line that tells it."""
+def oracle(held: Run, answer: Effects) -> float | None:
+    """Shrinkage that the true effects reach on the held-out run."""
+    world = make_world(held, restarts_of(held, model=answer))
+    problem = with_floor(Problem((world,), Floor({}, {}, {}), held.meta.effects), answer)
+    noises = {name: values for name, values in answer.items() if name in NOISES}
+    return figures((world,), problem.floor, answer, noises, True, 0)[0].shrink
+
+
+def score(runs: Sequence[Run], held: Run, answer: Effects, outside: bool, baselines: bool) -> tuple[Row, Diagnosis]:
+    """Figures of one case, and what was found."""
     began = time.process_time()
-    found = diagnose(runs, held_out=held)
-    seconds = time.process_time() - began
+    found = diagnose(runs, held_out=[held])
+    row: Row = {"cpu_s": time.process_time() - began, "unknown": found.probabilities.get("unknown", 0.0)}
     ranked = sorted(found.causes, key=lambda one: -one.probability)
     named = {one.effect for one in ranked if one.probability > 0.5}
     true = set(answer)
-    row: Row = {
-        "cpu_s": seconds,
-        "false": float(len(named - true) > 0),
-        "unknown": float(found.unexplained is not None),
-    }
+    row["false"] = float(len(named - true) > 0)
+    row["told unknown"] = float(found.unexplained is not None)
     row["exact"] = float(named == true and (found.unexplained is not None) == outside)
     if true:
         order = [one.effect for one in ranked]
         row |= {"top1": float(bool(order) and order[0] in true), "top3": float(bool(true & set(order[:3])))}
         row["p"] = float(np.mean([next((c.probability for c in ranked if c.effect == name), 0.0) for name in true]))
-        hits = len(named & true)
-        row["f1"] = 2 * hits / (len(named) + len(true))
-        row["one by one"] = float(one_by_one(runs) in true)
+        row["F1"] = 2 * len(named & true) / (len(named) + len(true))
+        if baselines:
+            row["alone"] = float(alone(runs) in true)
         stream = found.where[0].stream if found.where else "-"
         row["loudest"] = float(USUAL.get(stream, USUAL.get(stream.split(".")[0], "-")) in true)
-    if found.gap.shrink is not None and true:
-        row["shrink"] = found.gap.shrink
+        best = oracle(held, answer)
+        if best is not None and best > 0.05 and found.gap.shrink is not None:
+            row["shrunk"] = found.gap.shrink / best
+    row["harm"] = float(found.gap.total.after > 1.002 * found.gap.total.before and bool(named))
     errors = [
         (float(c.parameters[n].value) - float(v)) / (c.parameters[n].std or np.inf)
         for c in found.causes
@@ -85,37 +109,89 @@ def score(runs: list[Run], held: list[Run], answer: Effects, outside: bool) -> t
         if not isinstance(v, str) and n in c.parameters
     ]
     if errors:
-        row["z"] = float(np.sqrt(np.mean(np.square(errors))))
-        row["within90"] = float(np.mean(np.abs(errors) < 1.645))
-    told = f"{'ok ' if row['exact'] else 'BAD'} {sorted(true)} -> {found.verdict} {sorted(named)}"
-    return row, told
+        row["z"] = float(np.mean(np.square(np.clip(errors, -6.0, 6.0))))
+        row["in 90 %"] = float(np.mean(np.abs(errors) < 1.645))
+    return row, found
 
 
-def table(rows: dict[str, list[Row]]) -> None:
-    """Means per stratum (z: root mean square; shrink: median)."""
-    names = (
-        "exact",
-        "top1",
-        "top3",
-        "f1",
-        "p",
-        "false",
-        "unknown",
-        "shrink",
-        "z",
-        "within90",
-        "loudest",
-        "one by one",
-        "cpu_s",
-    )
-    print(f"{'stratum':10s} {'n':>3s} " + " ".join(f"{name:>10s}" for name in names))
-    for stratum, cases in rows.items():
+def mujoco_cases(kind: str, seeds: range) -> Iterator[Case]:
+    """MuJoCo's robot with one change, or none."""
+    from tests.plants.gap_mujoco import PHYSICAL, Ride, ride_run
+
+    for seed in seeds:
+        rng = np.random.default_rng([seed, 11])
+        effects: Effects = {}
+        if kind != "mujoco null":
+            name = PHYSICAL[(seed * 11) % len(PHYSICAL)]
+            effects = draw(name, 2.5 if "small" in kind else float(rng.uniform(6.0, 30.0)), rng)
+        ride = Ride(seed, effects=effects)
+        runs = [ride_run(replace(ride, part=k, seconds=t)) for k, t in enumerate((60.0, 50.0, 50.0))]
+        yield runs[:2], runs[2], effects, "+".join(effects)
+
+
+def cases(stratum: str, seeds: range) -> Iterator[Case]:
+    """(fit runs, held-out run, answer, label) of a stratum."""
+    if stratum.startswith("mujoco"):
+        yield from mujoco_cases(stratum, seeds)
+        return
+    for seed in seeds:
+        fit, held, answer, label = plans(stratum, seed)
+        yield [record(plan) for plan in fit], record(held), answer, label
+
+
+def told(found: Diagnosis) -> str:
+    """A case's answer in a line."""
+    sure = [f"{c.effect} {c.probability:.2f}" for c in found.causes if c.probability > 0.05]
+    rest = found.unexplained.description if found.unexplained else ""
+    return f"{found.verdict} {', '.join(sure)} {rest}"
+
+
+def calibration(rows: Sequence[dict]) -> float:
+    """Expected calibration error: probabilities of all that was told against how often it was so, in ten classes."""
+    pairs = np.array([pair for row in rows for pair in row["pairs"]])
+    if len(pairs) == 0:
+        return float("nan")
+    p, hit = pairs.T
+    number = np.minimum((p * 10).astype(int), 9)
+    return float(sum(abs((p - hit)[number == k].sum()) for k in range(10)) / len(p))
+
+
+def pairs(found: Diagnosis, answer: Effects, outside: bool) -> list[tuple[float, float]]:
+    """(probability, truth) of every cause told over 0.01, of "none" and of "unknown"."""
+    out = [(c.probability, float(c.effect in answer)) for c in found.causes if c.probability > 0.01]
+    listed = {c.effect for c in found.causes}
+    out += [(0.0, 1.0) for name in answer if name not in listed]
+    out.append((found.probabilities.get("unknown", 0.0), float(outside)))
+    out.append((found.probabilities.get("none", 0.0), float(not answer and not outside)))
+    return out
+
+
+COLUMNS = (
+    "exact", "top1", "top3", "F1", "p", "false", "told unknown", "shrunk", "harm", "z", "in 90 %", "loudest", "alone",
+    "cpu_s",
+)  # fmt: skip
+
+
+def table(lines: Sequence[dict]) -> None:
+    """Means per stratum (z: root mean square; shrunk: median), then what all strata say together."""
+    print("| stratum | n | " + " | ".join(COLUMNS) + " | calibration |")
+    print("|" + " --- |" * (len(COLUMNS) + 3))
+    for stratum in dict.fromkeys(line["stratum"] for line in lines):
+        mine = [line for line in lines if line["stratum"] == stratum]
         cells = []
-        for name in names:
-            values = [row[name] for row in cases if name in row]
-            middle = np.median if name in ("shrink", "z") else np.mean
-            cells.append(f"{middle(values):10.3f}" if values else f"{'-':>10s}")
-        print(f"{stratum:10s} {len(cases):3d} " + " ".join(cells))
+        for name in COLUMNS:
+            values = [line["row"][name] for line in mine if name in line["row"]]
+            value = np.median(values) if name == "shrunk" and values else np.mean(values) if values else np.nan
+            cells.append("" if not values else f"{np.sqrt(value) if name == 'z' else value:.2f}")
+        print(f"| {stratum} | {len(mine)} | " + " | ".join(cells) + f" | {calibration(mine):.3f} |")
+    strange = [line["row"]["unknown"] for line in lines if line["outside"]]
+    known = np.sort([line["row"]["unknown"] for line in lines if not line["outside"]])
+    if strange and len(known):
+        auc = np.mean([np.mean(known < s) + 0.5 * np.mean(known == s) for s in strange])
+        limit = known[int(np.ceil(0.95 * len(known))) - 1]
+        hit = np.mean(np.array(strange) > limit)
+        print(f"\nunknown against known: area {auc:.3f}, hits at 5 % false alarms {hit:.2f}")
+    print(f"calibration error over everything: {calibration(lines):.3f}")
 
 
 def main() -> None:
@@ -125,23 +201,38 @@ def main() -> None:
     options.add_argument("--first", type=int, default=0)
     options.add_argument("--strata", default=",".join(STRATA))
     options.add_argument("--shared", type=Path, help="the folder of gap cases with answers")
+    options.add_argument("--lines", type=Path, help="a JSON line per case is added here")
+    options.add_argument("--bare", action="store_true", help="without the baselines that cost time")
+    options.add_argument("--read", type=Path, help="only the table, of lines written before")
     chosen = options.parse_args()
-    rows: dict[str, list[Row]] = {}
+    if chosen.read:
+        table([json.loads(line) for line in chosen.read.read_text().splitlines()])
+        return
+    lines: list[dict] = []
+
+    def add(stratum: str, case: Case, outside: bool) -> None:
+        runs, held, answer, label = case
+        row, found = score(runs, held, answer, outside, not chosen.bare)
+        line = {"stratum": stratum, "label": label, "outside": outside, "row": row}
+        line |= {"answer": {name: dict(values) for name, values in answer.items()}, "told": told(found)}
+        line["pairs"] = pairs(found, answer, outside)
+        line["immaterial"] = [one.effect for one in found.immaterial]
+        lines.append(line)
+        print(f"{'ok ' if row['exact'] else 'BAD'} {stratum} {label}: {line['told']} [{row['cpu_s']:.1f} s]", flush=True)
+        if chosen.lines:
+            with chosen.lines.open("a") as out:
+                out.write(json.dumps(line) + "\n")
+
     if chosen.shared:
-        for case in sorted((chosen.shared / "cases").iterdir()):
-            told = json.loads((chosen.shared / "answers" / f"{case.name}.json").read_text())
-            answer = {one["effect"]: one["parameters"] for one in told["effects"]}
-            runs = [read_run(path) for path in sorted((case / "fit").iterdir())]
-            row, line = score(runs, [read_run(case / "heldout")], answer, bool(told["outside"]))
-            print(told["label"], line, flush=True)
-            rows.setdefault("shared", []).append(row)
+        for folder in sorted((chosen.shared / "cases").iterdir()):
+            say = json.loads((chosen.shared / "answers" / f"{folder.name}.json").read_text())
+            answer = {one["effect"]: one["parameters"] for one in say["effects"]}
+            runs = [read_run(path) for path in sorted((folder / "fit").iterdir())]
+            add("shared", (runs, read_run(folder / "heldout"), answer, say["label"]), bool(say["outside"]))
     for stratum in chosen.strata.split(",") if chosen.strata else ():
-        for seed in range(chosen.first, chosen.first + chosen.cases):
-            fit, held, answer, label = plans(stratum, seed)
-            row, line = score([record(plan) for plan in fit], [record(held)], answer, stratum == "open")
-            print(stratum, seed, label, line, flush=True)
-            rows.setdefault(stratum, []).append(row)
-    table(rows)
+        for case in cases(stratum, range(chosen.first, chosen.first + chosen.cases)):
+            add(stratum, case, stratum == "open")
+    table(lines)
 
 
 if __name__ == "__main__":

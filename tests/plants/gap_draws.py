@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from tests.plants.gap_plant import OUTSIDE, Effects, Plan
@@ -91,12 +93,29 @@ def draw(name: str, times: float, rng: np.random.Generator) -> Effects:
     return {name: others[name]}
 
 
-def plans(kind: str, seed: int) -> tuple[list[Plan], Plan, Effects, str]:
-    """(fit runs, held-out run, answer, label) of one case; kind: single, small, pair, null, noise, truthless, open."""
+SEES = {
+    "imu": ("gyro", "accel_bias", "accel_scale", "imu_", "vibration", "clock_drift", "floor_tilt", "bump"),
+    "commands": ("command_delay", "motor_lag", "_limit", "deadband", "drive_gain", "battery_sag", "missed_ticks"),
+}
+"""Effects that show only, or chiefly, in a stream (parts of their names)."""
+
+
+def _names_for(kind: str) -> list[str]:
+    """Effects that the streams of this kind of case can show."""
+    blind = {"no imu": SEES["imu"], "no commands": SEES["commands"]}.get(kind, ())
+    return [name for name in sorted(set(NAMES)) if not any(part in name for part in blind)]
+
+
+def plans(kind: str, seed: int, ordinary: bool = True) -> tuple[list[Plan], Plan, Effects, str]:
+    """(fit runs, held-out run, answer, label) of one case.
+
+    kind: null, noise (sheet off by 1.5), small (2.5 tolerances), single (6 to 30), pair, no truth, no imu, no commands,
+    open (a cause that no list has).
+    """
     rng = np.random.default_rng([seed, 7])
-    names = sorted(set(NAMES))
-    times = float(np.exp(rng.uniform(np.log(6.0), np.log(30.0)))) if kind != "small" else 3.0
-    chosen = [names[seed % len(names)]] if kind in ("single", "small", "truthless", "pair") else []
+    names = _names_for(kind)
+    times = float(np.exp(rng.uniform(np.log(6.0), np.log(30.0)))) if kind != "small" else 2.5
+    chosen = [] if kind in ("null", "noise", "open") else [names[(seed * 17) % len(names)]]
     if kind == "pair":
         chosen.append(str(rng.choice([n for n in names if n not in chosen])))
     effects: dict[str, dict[str, float | str]] = {}
@@ -107,12 +126,20 @@ def plans(kind: str, seed: int) -> tuple[list[Plan], Plan, Effects, str]:
         name = sorted(OUTSIDE)[seed % len(OUTSIDE)]
         outside = {name: OUTSIDE[name] * float(rng.uniform(0.7, 2.0))}
         chosen = [name]
-    stated = float(rng.choice([1 / 1.5, 1.5])) if kind == "noise" else 1.0
-    common = {"effects": effects, "outside": outside, "truth": kind != "truthless", "stated": stated}
-    common["sensors"] = (
-        "both"
-        if any("fix" in n or "beacon" in n or "range" in n or "anchor" in n or "tag" in n for n in chosen)
-        else str(rng.choice(["fix", "ranges", "both"]))
+    plan = Plan(
+        seed,
+        effects=effects,
+        outside=outside,
+        truth=kind != "no truth",
+        imu=kind != "no imu",
+        commands=kind != "no commands",
+        stated=float(rng.choice([1 / 1.5, 1.5])) if kind == "noise" else 1.0,
+        sensors="both" if any(_pose(n) for n in chosen) else str(rng.choice(["fix", "ranges", "both"])),
+        ordinary=ordinary,
     )
-    fit = [Plan(seed, "mixed", 100.0, **common), Plan(seed, "turns", 80.0, **common)]
-    return fit, Plan(seed, "stops", 90.0, **common), effects, "+".join(chosen)
+    fit = [replace(plan, profile="mixed", seconds=60.0), replace(plan, profile="turns", seconds=50.0)]
+    return fit, replace(plan, profile="stops", seconds=50.0), effects, "+".join(chosen)
+
+
+def _pose(name: str) -> bool:
+    return any(part in name for part in ("fix", "beacon", "range", "anchor", "tag", "heading_echo"))

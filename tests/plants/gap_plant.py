@@ -12,10 +12,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.signal import lfilter
 
 from core.robot import ImuMount, Noise, Pose, RobotParams, TagMount
 from core.run import Run, RunMeta
 from core.sensors import BeaconLog, CommandLog, ImuLog, RangeLog, TruthLog, WheelLog
+from tests.plants.gap_ordinary import Rig, drawn_rig, ordinary, rounded
 
 Floats = npt.NDArray[np.float64]
 Effects = Mapping[str, Mapping[str, float | str]]
@@ -25,6 +27,14 @@ G = 9.80665
 BEACONS = {"A": (-1.0, -1.5, 2.4), "B": (6.5, -1.0, 2.1), "C": (6.0, 5.5, 2.6), "D": (-1.2, 5.0, 2.2)}
 OUTSIDE = {
     "gyro_cubic": 0.012,  # gz += c*w^3
+    "gyro_fade": 0.03,  # the gyro's scale falls by this share at 0.5 m/s
+    "resonance": 0.02,  # a rubbing tyre: w += c*v*sin(angle of the right wheel)
+    "heading_echo": 0.08,  # ranges long by c*cos(heading)^2: an echo off the body
+    "fix_clock": 6e-3,  # fixes come late by c*t
+    "drag": 0.04,  # the body is slower by c*v*|v|
+    "ramp": 0.02,  # one half of the floor slopes along x
+    "sag_rest": 0.04,  # the battery sags with driving and recovers at rest
+    "load_play": 0.004,  # the left encoder is off by c*tanh(acceleration/0.2)
     "gyro_sign": 0.004,  # gz += c*sign(w)
     "left_motor": 0.015,  # the left wheel alone turns slower by this share
     "encoder_wobble": 0.01,  # the right encoder reads c*sin(angle) more
@@ -49,6 +59,17 @@ class Plan:
     commands: bool = True
     imu: bool = True
     stated: float = 1.0  # the description states this many times the real noise
+    ordinary: bool = False  # a robot as robots are: a little of everything, other rates, rounded readings
+
+
+def acting(plan: Plan) -> Effects:
+    """All effects of a plan, the ordinary ones below those that were chosen."""
+    return {**ordinary(plan.seed, list(BEACONS)), **plan.effects} if plan.ordinary else plan.effects
+
+
+def rig(plan: Plan) -> Rig:
+    """Rates and roundings of a plan's robot."""
+    return drawn_rig(plan.seed) if plan.ordinary else Rig()
 
 
 def robot(seed: int) -> tuple[RobotParams, Noise]:
@@ -74,7 +95,7 @@ def robot(seed: int) -> tuple[RobotParams, Noise]:
 
 
 def commands(plan: Plan) -> tuple[Floats, Floats, Floats]:
-    """Stamps at 50 Hz, v and w: ramps between levels that the profile draws, back near the middle now and then."""
+    """Stamps, v and w: ramps between levels that the profile draws, back near the middle now and then."""
     rng = np.random.default_rng([plan.seed, 2, len(plan.profile)])
     knots: list[tuple[float, float, float]] = [(0.0, 0.0, 0.0), (2.0, 0.0, 0.0)]
     t, x, y, theta = 2.0, 2.5, 2.0, 0.3
@@ -98,7 +119,7 @@ def commands(plan: Plan) -> tuple[Floats, Floats, Floats]:
         t += ramp + span
     knots += [(t + 1.0, 0.0, 0.0), (plan.seconds, 0.0, 0.0)]
     at = np.array(knots)
-    stamps = np.arange(0.0, plan.seconds, 0.02)
+    stamps = np.arange(0.0, plan.seconds, 1.0 / rig(plan).commands)
     return stamps, np.interp(stamps, at[:, 0], at[:, 1]), np.interp(stamps, at[:, 0], at[:, 2])
 
 
@@ -130,7 +151,7 @@ def wheel(u: Floats, t: Floats, e: Effects) -> Floats:
 
 def drive(plan: Plan, params: RobotParams, start: Pose) -> dict[str, Floats]:
     """Everything on the fine grid: wheels' angles, pose, speeds, map velocity's derivative in the body."""
-    e, out = plan.effects, dict(plan.outside)
+    e, out = acting(plan), dict(plan.outside)
     stamps, v_set, w_set = commands(plan)
     t = np.arange(0.0, plan.seconds + 0.5, H)
     r, b = float(params.wheel_radius or 0), float(params.track_width or 0)
@@ -138,6 +159,10 @@ def drive(plan: Plan, params: RobotParams, start: Pose) -> dict[str, Floats]:
     v, w = np.interp(late, stamps, v_set), np.interp(late, stamps, w_set)
     left, right = wheel(v - 0.5 * b * w, t, e), wheel(v + 0.5 * b * w, t, e)
     left = left * (1.0 - out.get("left_motor", 0.0))
+    if "sag_rest" in out:
+        load = np.abs(left) + np.abs(right)
+        drained = np.array(lfilter([H / 20.0], [1.0, H / 20.0 - 1.0], load))
+        left, right = left * (1.0 - out["sag_rest"] * drained), right * (1.0 - out["sag_rest"] * drained)
     ratio, scale = get(e, "unequal_wheels", "ratio", 1.0), get(e, "wheel_radius", "scale", 1.0)
     k = get(e, "wheel_slip", "k", 0.0)
     ground = []
@@ -147,11 +172,14 @@ def drive(plan: Plan, params: RobotParams, start: Pose) -> dict[str, Floats]:
     v = 0.5 * (ground[0] + ground[1])
     w = (ground[1] - ground[0]) / (b * get(e, "track_width", "scale", 1.0))
     w = w + out.get("caster", 0.0) * v * np.abs(v)
+    v = v - out.get("drag", 0.0) * v * np.abs(v)
+    if "resonance" in out:
+        w = w + out["resonance"] * v * np.sin(np.cumsum(right * H) / r)
     if "bump" in e:
         s = t - get(e, "bump", "time", 0.0)
         push = np.where((s > 0.0) & (s < 0.3), (1.0 - np.cos(2.0 * np.pi * s / 0.3)) / 0.3, 0.0)
         v, w = v + get(e, "bump", "distance", 0.0) * push, w + get(e, "bump", "turn", 0.0) * push
-    side = -get(e, "side_slip", "k", 0.0) * v * w
+    side = -get(e, "side_slip", "k", 0.0) * v * w + (1e-4 * np.tanh(v / 0.02) if plan.ordinary else 0.0)
     if "slip_patch" in e:
         v, w, side = through_patch(e, v, w, side, start)
     theta = start.theta + np.concatenate(([0.0], np.cumsum(w[:-1] * H)))
@@ -183,7 +211,8 @@ def through_patch(e: Effects, v: Floats, w: Floats, side: Floats, start: Pose) -
 
 def imu(plan: Plan, params: RobotParams, noise: Noise, body: dict[str, Floats], rng: np.random.Generator) -> ImuLog:
     """Means over a sample period, then the sensor's own flaws."""
-    e, rate = plan.effects, 100.0
+    e, kind = acting(plan), rig(plan)
+    rate = kind.imu
     stamps = (np.arange(int(plan.seconds * rate)) + 0.5) / rate
     skew, offset = get(e, "clock_drift", "skew", 0.0), get(e, "imu_clock", "offset", 0.0)
     real = (stamps - offset) / (1.0 + skew)
@@ -203,15 +232,17 @@ def imu(plan: Plan, params: RobotParams, noise: Noise, body: dict[str, Floats], 
     fy = change(body["side"]) + mean(w * v) + change(w) * px - mean(w * w) * py
     sx, sy = get(e, "floor_tilt", "slope_x", 0.0), get(e, "floor_tilt", "slope_y", 0.0)
     c, s = mean(np.cos(theta)), mean(np.sin(theta))
+    sx = sx + plan.outside.get("ramp", 0.0) * (np.interp(real, t, body["x"]) > 2.5)
     fx, fy = fx + G * (sx * c + sy * s), fy + G * (sy * c - sx * s)
     yaw = params.imu.yaw + get(e, "imu_yaw", "angle", 0.0)
     ax, ay = math.cos(yaw) * fx + math.sin(yaw) * fy, math.cos(yaw) * fy - math.sin(yaw) * fx
-    warm = 25.0 + 6.0 * (1.0 - np.exp(-stamps / 80.0)) + 0.5 * np.sin(stamps / 17.0)
+    warm = 25.0 + kind.warm * (1.0 - np.exp(-stamps / kind.warm_tau)) + 0.5 * np.sin(stamps / 17.0)
     white = float(noise.gyro_density or 0) * math.sqrt(rate / 2)
     reading = gz * get(e, "gyro_scale", "scale", 1.0) + get(e, "gyro_bias", "bias", 0.0)
     reading = (
         reading + plan.outside.get("gyro_cubic", 0.0) * gz**3 + plan.outside.get("gyro_sign", 0.0) * np.tanh(gz / 0.02)
     )
+    reading = reading - plan.outside.get("gyro_fade", 0.0) * gz * np.abs(np.interp(real, t, v)) / 0.5
     if "gyro_drift" in e:
         reading = reading + get(e, "gyro_drift", "amplitude", 0.0) * (
             1.0 - np.exp(-np.maximum(real, 0) / get(e, "gyro_drift", "tau", 1.0))
@@ -230,13 +261,15 @@ def imu(plan: Plan, params: RobotParams, noise: Noise, body: dict[str, Floats], 
     for value, axis in ((ax, "x"), (ay, "y")):
         value = value * get(e, "accel_scale", axis, 1.0) + get(e, "accel_bias", axis, 0.0)
         axes.append(value + rough * rng.standard_normal(len(value)) + shake * rng.standard_normal(len(value)))
-    return ImuLog(t=stamps, gz=np.clip(reading, -limit, limit), ax=axes[0], ay=axes[1], temperature=warm)
+    ax, ay = (rounded(axis, kind.accel_step) for axis in axes)
+    gz = rounded(np.clip(reading, -limit, limit), kind.gyro_step)
+    return ImuLog(t=stamps, gz=gz, ax=ax, ay=ay, temperature=warm)
 
 
 def tag(plan: Plan, params: RobotParams, body: dict[str, Floats], at: Floats) -> tuple[Floats, Floats, Floats]:
     """The tag's place and the heading when a fix of these stamps was taken."""
-    e = plan.effects
-    when = at - get(e, "beacon_delay", "delay", 0.0)
+    e = acting(plan)
+    when = at - get(e, "beacon_delay", "delay", 0.0) - plan.outside.get("fix_clock", 0.0) * at
     x, y, theta = (np.interp(when, body["t"], body[name]) for name in ("x", "y", "theta"))
     tx, ty = params.tag.x + get(e, "tag_offset", "x", 0.0), params.tag.y + get(e, "tag_offset", "y", 0.0)
     return x + tx * np.cos(theta) - ty * np.sin(theta), y + tx * np.sin(theta) + ty * np.cos(theta), theta
@@ -244,7 +277,7 @@ def tag(plan: Plan, params: RobotParams, body: dict[str, Floats], at: Floats) ->
 
 def seen(plan: Plan, x: Floats, y: Floats) -> npt.NDArray[np.bool_]:
     """Whether the tag is out of the shadow."""
-    e = plan.effects
+    e = acting(plan)
     far = np.hypot(x - get(e, "beacon_shadow", "x", 0.0), y - get(e, "beacon_shadow", "y", 0.0))
     return far >= get(e, "beacon_shadow", "radius", 0.0)
 
@@ -252,9 +285,10 @@ def seen(plan: Plan, x: Floats, y: Floats) -> npt.NDArray[np.bool_]:
 def fixes(
     plan: Plan, params: RobotParams, noise: Noise, body: dict[str, Floats], rng: np.random.Generator
 ) -> BeaconLog:
-    """Pose fixes at 10 Hz."""
-    e, n = plan.effects, int(plan.seconds * 10)
-    t = (np.arange(n) + 1.0) / 10.0
+    """Pose fixes."""
+    e, rate = acting(plan), rig(plan).fixes
+    n = int(plan.seconds * rate)
+    t = (np.arange(n) + 1.0) / rate
     x, y, theta = tag(plan, params, body, t)
     keep = seen(plan, x, y)
     angle, scale = get(e, "beacon_rotation", "angle", 0.0), get(e, "beacon_scale", "scale", 1.0)
@@ -275,9 +309,10 @@ def fixes(
 def distances(
     plan: Plan, params: RobotParams, noise: Noise, body: dict[str, Floats], rng: np.random.Generator
 ) -> RangeLog:
-    """Ranges to the beacons in turn, 20 Hz in all."""
-    e, n = plan.effects, int(plan.seconds * 20)
-    t = (np.arange(n) + 0.5) / 20.0
+    """Ranges to the beacons in turn."""
+    e, rate = acting(plan), rig(plan).ranges
+    n = int(plan.seconds * rate)
+    t = (np.arange(n) + 0.5) / rate
     names = tuple(BEACONS)
     which = (np.arange(n) % len(names)).astype(np.int16)
     places = np.array(list(BEACONS.values()))
@@ -286,11 +321,12 @@ def distances(
             get(e, "anchor_moved", "x", 0.0),
             get(e, "anchor_moved", "y", 0.0),
         )
-    x, y, _ = tag(plan, params, body, t)
+    x, y, theta = tag(plan, params, body, t)
     keep = seen(plan, x, y)
     far = np.sqrt((x - places[which, 0]) ** 2 + (y - places[which, 1]) ** 2 + (params.tag.z - places[which, 2]) ** 2)
     far = far * get(e, "beacon_scale", "scale", 1.0) + get(e, "range_bias", "bias", 0.0)
     far = far + plan.outside.get("long_anchor", 0.0) * (which == 2)
+    far = far + plan.outside.get("heading_echo", 0.0) * np.cos(theta) ** 2
     wild = (rng.random(n) < get(e, "beacon_outliers", "rate", 0.0)) * get(e, "beacon_outliers", "size", 0.0)
     far = (
         far
@@ -307,16 +343,22 @@ def record(plan: Plan) -> Run:
     start = Pose(2.5, 2.0, 0.3)
     body = drive(plan, params, start)
     stamps, v, w = commands(plan)
-    t = np.arange(0.0, plan.seconds, 0.02)
+    e, kind = acting(plan), rig(plan)
+    t = np.arange(0.0, plan.seconds, 1.0 / kind.wheels)
     tick = 2.0 * np.pi / float(params.ticks_per_rev or 1)
     sides = {}
     for side in ("left", "right"):
-        angle = np.interp(t, body["t"], body[side]) * (1.0 - get(plan.effects, "missed_ticks", side, 0.0))
+        angle = np.interp(t, body["t"], body[side]) * (1.0 - get(e, "missed_ticks", side, 0.0))
+        if side == "left":
+            pull = np.gradient(body["v"], H)
+            angle = angle + plan.outside.get("load_play", 0.0) * np.tanh(np.interp(t, body["t"], pull) / 0.2)
         if side == "right":
             angle = angle + plan.outside.get("encoder_wobble", 0.0) * np.sin(angle)
         sides[side] = tick * np.floor(angle / tick)
+    seen_at = np.arange(0.0, plan.seconds, 1.0 / kind.truth)
     columns = {
-        name: np.interp(t, body["t"], body[name]) + 3e-4 * rng.standard_normal(len(t)) for name in ("x", "y", "theta")
+        name: np.interp(seen_at, body["t"], body[name]) + 3e-4 * rng.standard_normal(len(seen_at))
+        for name in ("x", "y", "theta")
     }
     told = replace(
         noise,
@@ -333,5 +375,5 @@ def record(plan: Plan) -> Run:
         imu=imu(plan, params, noise, body, rng) if plan.imu else None,
         beacon=fix if plan.sensors in ("fix", "both") else None,
         ranges=ranges if plan.sensors in ("ranges", "both") else None,
-        truth=TruthLog(t=t, **columns) if plan.truth else None,
+        truth=TruthLog(t=seen_at, **columns) if plan.truth else None,
     )
