@@ -37,6 +37,14 @@ def value(piece: Piece, s: float, itau: float) -> float:
 
 
 @inlined
+def halved(h: float, known: float, half: float, itau: float) -> float:
+    """exp(-h/2/tau), out of `half` where that is of the same h already: an exponential costs as much as a wheel."""
+    if h == known or itau == 0.0:
+        return half
+    return np.exp(-0.5 * h * itau)
+
+
+@inlined
 def end_of(piece: Piece, h: float, half: float, par: Array) -> tuple[float, float]:
     """Speed at the end and distance over a piece. half: exp(-h/2/tau)."""
     p, q, c = piece
@@ -70,8 +78,8 @@ def command(times: Array, values: Array, j: int, t: float) -> Piece:
 
 
 @inlined
-def set_point(raw: Piece, h: float, sag0: float, sag1: float, par: Array) -> tuple[float, Piece]:
-    """Dead band, gain and sag on a set-point: (h cut at the band's edge, what is left of it)."""
+def set_point(raw: Piece, h: float, sag: float, fade: float, par: Array) -> tuple[float, Piece]:
+    """Dead band, gain and sag on a set-point: (h cut at the band's edge, what is left of it). fade: slope of the sag."""
     c, m, _ = raw
     width, whole = par[P.WIDTH], h
     if width > 0.0:
@@ -83,14 +91,14 @@ def set_point(raw: Piece, h: float, sag0: float, sag1: float, par: Array) -> tup
         if abs(c + 0.5 * m * h) < width:
             return h, (0.0, 0.0, 0.0)
     gain = par[P.GAIN]
-    if sag0 == sag1:
-        return h, (gain * sag0 * c, gain * sag0 * m, 0.0)
-    start = gain * sag0 * c  # taken as linear: within a piece the sag's curvature is below 1e-9 m/s
-    return h, (start, (gain * sag1 * (c + m * whole) - start) / whole, 0.0)
+    if fade == 0.0:
+        return h, (gain * sag * c, gain * sag * m, 0.0)
+    # taken as linear: within a piece the sag's curvature is below 1e-9 m/s
+    return h, (gain * sag * c, gain * (sag * m + fade * (c + m * whole)), 0.0)
 
 
 @compiled
-def limit_acceleration(piece: Piece, z: float, a: float, h: float, itau: float) -> tuple[float, Piece]:
+def limit_acceleration(piece: Piece, z: float, a: float, h: float, decay: float, itau: float) -> tuple[float, Piece]:
     """A speed that follows `piece` from z no faster than a: (h cut where it changes between following and lagging)."""
     p, q, c = piece
     ahead = p + c - z
@@ -99,7 +107,7 @@ def limit_acceleration(piece: Piece, z: float, a: float, h: float, itau: float) 
     if caught and abs(slope) <= a * (1.0 + 1e-12):
         if c == 0.0:
             return h, piece
-        end = q - c * itau * np.exp(-h * itau)
+        end = q - c * itau * decay
         if abs(end) > a * (1.0 + 1e-9):
             reached = (q - np.sign(end) * a) / (c * itau)
             cut = -np.log(reached) / itau if 0.0 < reached < 1.0 else h
@@ -107,27 +115,31 @@ def limit_acceleration(piece: Piece, z: float, a: float, h: float, itau: float) 
         return h, piece
     sign = np.sign(slope) if caught else np.sign(ahead)
     line = (p + c if caught else z, sign * a, 0.0)
-    if sign * (value(piece, h, itau) - value(line, h, itau)) < 0.0:
+    if sign * (p + q * h + c * decay - line[0] - line[1] * h) < 0.0:
         h = max(crossing(piece, line, h, itau), EVENT)
     return h, line
 
 
-@compiled
-def cut_at_level(piece: Piece, level: float, h: float, itau: float) -> float:
-    """h cut where abs(speed) crosses `level`."""
-    first, last = value(piece, 0.0, itau), value(piece, h, itau)
-    above0, above1 = abs(first) - level, abs(last) - level
+@inlined
+def limit_speed(piece: Piece, top: float, h: float, decay: float, itau: float) -> tuple[float, Piece]:
+    """A speed held within +-top: (h cut where it reaches or leaves the limit, what is left of it)."""
+    p, q, c = piece
+    first, last = p + c, p + q * h + c * decay
+    if max(abs(first), abs(last)) + abs(c) < top:  # no bend within the piece is larger than c
+        return h, piece
+    above0, above1 = abs(first) - top, abs(last) - top
     if above0 * above1 < 0.0 and min(abs(above0), abs(above1)) > TOLERANCE:
         outer = last if above1 > 0.0 else first
-        cut = crossing(piece, (np.sign(outer) * level, 0.0, 0.0), h, itau)
-        return cut if EVENT < cut < h else h
-    return h
+        cut = crossing(piece, (np.sign(outer) * top, 0.0, 0.0), h, itau)
+        h = cut if EVENT < cut < h else h
+    middle = value(piece, 0.5 * h, itau)
+    return h, ((np.sign(middle) * top, 0.0, 0.0) if abs(middle) > top else piece)
 
 
-@compiled
-def cut_at_zero(piece: Piece, h: float, itau: float) -> float:
+@inlined
+def cut_at_zero(piece: Piece, h: float, decay: float, itau: float) -> float:
     """h cut where the speed changes its sign."""
-    first, last = value(piece, 0.0, itau), value(piece, h, itau)
+    first, last = piece[0] + piece[2], piece[0] + piece[1] * h + piece[2] * decay
     if first * last < 0.0 and min(abs(first), abs(last)) > TOLERANCE:
         cut = crossing(piece, (0.0, 0.0, 0.0), h, itau)
         return cut if EVENT < cut < h else h
@@ -136,29 +148,34 @@ def cut_at_zero(piece: Piece, h: float, itau: float) -> float:
 
 @inlined
 def wheel(
-    raw: Piece, h: float, sag0: float, sag1: float, y: float, z: float, par: Array
-) -> tuple[float, Piece, Piece, Piece]:
-    """One wheel's chain: (h cut at its first event; its speed after the lag, the acceleration limit, the speed limit).
+    raw: Piece, h: float, half: float, sag: float, fade: float, y: float, z: float, par: Array
+) -> tuple[float, float, Piece, Piece, Piece]:
+    """One wheel's chain: h cut at its first event, exp(-h/2/tau); its speed after lag, acceleration and speed limit.
 
-    raw: set-point [m/s]; sag0, sag1: the sag at both ends; y, z: states of the lag and of the acceleration limit.
+    raw: set-point [m/s]; half: as of the given h; sag, fade: the sag and its slope; y, z: states of the lag and of the
+    acceleration limit.
     """
-    tau, itau = par[P.TAU], par[P.ITAU]
-    h, lagged = set_point(raw, h, sag0, sag1, par)
+    tau, itau, known = par[P.TAU], par[P.ITAU], h
+    h, lagged = set_point(raw, h, sag, fade, par)
+    half = halved(h, known, half, itau)
     if tau != 0.0:
         u, mu, _ = lagged
         lagged = (u - tau * mu, mu, y - u + tau * mu if itau != 0.0 else 0.0)
     limited = lagged
     if par[P.A_MAX] < np.inf:
-        h, limited = limit_acceleration(lagged, z, par[P.A_MAX], h, itau)
+        known = h
+        h, limited = limit_acceleration(lagged, z, par[P.A_MAX], h, half * half, itau)
+        half = halved(h, known, half, itau)
     rim = limited
     if par[P.V_MAX] < np.inf:
-        h = cut_at_level(limited, par[P.V_MAX], h, itau)
-        middle = value(limited, 0.5 * h, itau)
-        if abs(middle) > par[P.V_MAX]:
-            rim = (np.sign(middle) * par[P.V_MAX], 0.0, 0.0)
+        known = h
+        h, rim = limit_speed(limited, par[P.V_MAX], h, half * half, itau)
+        half = halved(h, known, half, itau)
     if par[P.SLIP_K] != 0.0:
-        h = cut_at_zero(rim, h, itau)
-    return h, lagged, limited, rim
+        known = h
+        h = cut_at_zero(rim, h, half * half, itau)
+        half = halved(h, known, half, itau)
+    return h, half, lagged, limited, rim
 
 
 @inlined

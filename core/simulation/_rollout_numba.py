@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from core.simulation import params as P
-from core.simulation._drive_numba import EVENT, Piece, command, compiled, end_of, ground, inlined, wheel
+from core.simulation._drive_numba import EVENT, Piece, command, compiled, end_of, ground, halved, inlined, wheel
 
 Array = npt.NDArray[np.float64]
 Triple = tuple[float, float, float]
@@ -120,9 +120,21 @@ def beyond(left: Piece, right: Piece, h: float, state: Array, par: Array) -> flo
     return -over if state[INSIDE] != 0.0 else over
 
 
+@inlined
+def reach(left: Piece, right: Piece, h: float, t: float, par: Array) -> float:
+    """At least how far the body can get within h [m]: cheaper than to drive there."""
+    if par[P.BUMP] != 0.0 and -h < t - par[P.BUMP_TIME] < BUMP_SPAN:
+        return np.inf
+    rim = abs(left[0]) + h * abs(left[1]) + abs(left[2]) + abs(right[0]) + h * abs(right[1]) + abs(right[2])
+    v = 2.0 * max(par[P.SCALE_L], par[P.SCALE_R]) * rim  # each wheel's slip and the patch may double its speed
+    return h * v * (1.0 + 2.0 * abs(par[P.SIDE_K]) * par[P.IB] * v)
+
+
 @compiled
 def cut_at_patch(left: Piece, right: Piece, h: float, state: Array, par: Array) -> tuple[float, bool]:
     """h cut where the body crosses the slip patch's edge, and whether it does."""
+    if abs(depth(state[X], state[Y], par)) > reach(left, right, h, state[T], par):
+        return h, False
     if beyond(left, right, h, state, par) <= 1e-10:
         return h, False
     lo, hi = 0.0, h
@@ -250,11 +262,14 @@ def piece(
     """Drive and body from the state's instant to `to` at most; left, right: set-points. Returns the next n and g."""
     t = state[T]
     h = to - t
-    sag0, sag1 = 1.0, 1.0
+    sag, fade = 1.0, 0.0
     if par[P.SAG] != 0.0:
-        sag0, sag1 = np.exp(-par[P.SAG] * t), np.exp(-par[P.SAG] * to)
-    h, lag_l, limited_l, rim_l = wheel(left, h, sag0, sag1, state[YL], state[ZL], par)
-    h, lag_r, limited_r, rim_r = wheel(right, h, sag0, sag1, state[YR], state[ZR], par)
+        sag = np.exp(-par[P.SAG] * t)
+        fade = (np.exp(-par[P.SAG] * to) - sag) / h
+    half = halved(h, 0.0, 1.0, par[P.ITAU])
+    h, half, lag_l, limited_l, rim_l = wheel(left, h, half, sag, fade, state[YL], state[ZL], par)
+    h, half, lag_r, limited_r, rim_r = wheel(right, h, half, sag, fade, state[YR], state[ZR], par)
+    known = h
     if abs(lag_l[2]) + abs(lag_r[2]) > SETTLED:  # so that a cubic between nodes follows the exponential
         h = min(h, max(0.5 * par[P.TAU], MIN_STEP))
     crosses = False
@@ -263,7 +278,7 @@ def piece(
             h = min(h, DWELL)
         else:
             h, crosses = cut_at_patch(rim_l, rim_r, h, state, par)
-    half = np.exp(-0.5 * h * par[P.ITAU]) if par[P.ITAU] != 0.0 else 1.0
+    half = halved(h, known, half, par[P.ITAU])
     moved, start, end, sums = body(rim_l, rim_r, h, half, t, state[INSIDE] != 0.0, par)
     sl, sr = rim_l[0] + rim_l[2], rim_r[0] + rim_r[2]
     if abs(start[0] - state[V]) + abs(start[2] - state[W]) + abs(sl - state[SL]) + abs(sr - state[SR]) > JUMP:
