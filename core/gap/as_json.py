@@ -66,6 +66,8 @@ def _where(one: Where) -> dict[str, Any]:
         out["intervals"] = [[round(a, 2), round(b, 2)] for a, b in one.intervals]
     if one.place is not None:
         out["place"] = {"x": one.place.x, "y": one.place.y, "radius": one.place.radius}
+    if len(one.by_run) > 1 and any(one.by_run):
+        out["intervals_by_run"] = [[[round(a, 2), round(b, 2)] for a, b in spans] for spans in one.by_run]
     return out
 
 

@@ -6,15 +6,17 @@ from collections.abc import Mapping, Sequence
 
 from core.effects import EFFECTS
 from core.gap.candidates import Reach
+from core.gap.evidence import Evidence
 from core.gap.experiment import next_experiment
 from core.gap.explain import Search
 from core.gap.floor import Floor
+from core.gap.generic import Shape
 from core.gap.judge import is_material, odds, probabilities, values_of
 from core.gap.leftover import unknown_of
 from core.gap.rejected import rejected, unseen
-from core.gap.shrink import NOISES, figures, floors, replay
-from core.gap.types import Cause, Config, Diagnosis, Immaterial, Place, Unexplained, Value, Where
-from core.gap.where import where
+from core.gap.shrink import figures, show
+from core.gap.types import Cause, Config, Diagnosis, Immaterial, Unexplained, Value
+from core.gap.where import ground_of, look
 from core.gap.world import WHEELS, World
 from core.robot import EffectSet
 
@@ -41,7 +43,12 @@ def conclude(
     }
     floor = found.body.problem.floor
     small = {name: model[name] for name in model if name not in material}
-    gap, _ = figures(kept or fitted_on, floor, {**small, **fitted, **noises}, noises, bool(kept), config.seed)
+    causing = {**fitted, **noises}
+    seen = [show(world, small, causing, floor) for world in fitted_on]
+    scored = [show(world, small, causing, floor) for world in kept]
+    gap = figures(kept or fitted_on, floor, scored or seen, noises, bool(kept), config.seed)
+    ground = ground_of(fitted_on, seen, causing, floor)
+    looked = look(ground, causing, _shape(found) if unexplained is not None else None)
     causes = _causes(found, chances, _shares(found, material), values)
     sure = [one for one in causes if one.probability > 0.5]
     verdict = "explained" if sure else "none"
@@ -52,12 +59,12 @@ def conclude(
     listed = (name for name in (*model, *noises) if name not in material and name in values)
     return Diagnosis(
         verdict=verdict,
-        where=_spots(fitted_on, floor, {**fitted, **noises}, noises) if verdict != "none" else (),
+        where=looked.where if verdict != "none" else (),
         causes=causes,
         gap=gap,
         immaterial=tuple(Immaterial(name, values[name]) for name in listed),
         unexplained=unexplained,
-        next_experiment=next_experiment(fitted_on[0].run, {**fitted, **noises}, causes),
+        next_experiment=next_experiment(fitted_on[0].run, causing, causes),
         rejected=rejected(found, material, chances),
         unseen=unseen(found, reach),
         probabilities={**chances, **rest},
@@ -66,6 +73,7 @@ def conclude(
         notes=_notes(floor),
         link=_link(sure, unexplained),
         runtime_s=0.0,
+        evidence=Evidence(cells=looked.cells),
     )
 
 
@@ -79,14 +87,6 @@ def _causes(
     ]
     causes.sort(key=lambda one: (one.probability <= 0.5, -one.share if one.probability > 0.5 else -one.probability))
     return tuple(causes)
-
-
-def _spots(worlds: Sequence[World], floor: Floor, effects: EffectSet, noises: EffectSet) -> tuple[Where, ...]:
-    """Where the fitted runs leave their floor; of a louder sensor, its stated noise is the floor."""
-    replays = [replay(world, [{}], floor)[0] for world in worlds]
-    levels = floors(worlds[0], floor)
-    levels |= {name: 1.0 for effect in noises for name in NOISES[effect] if name in levels}
-    return where(worlds, replays, levels, _place_of(effects), effects)
 
 
 SURE_NONE = 0.95
@@ -120,14 +120,6 @@ def _confusable(name: str, found: Search) -> tuple[str, ...]:
     return tuple(dict.fromkeys(out))
 
 
-def _place_of(effects: EffectSet) -> Place | None:
-    for name in ("slip_patch", "beacon_shadow"):
-        if name in effects:
-            values = effects[name]
-            return Place(float(values["x"]), float(values["y"]), float(values["radius"]))
-    return None
-
-
 def _notes(floor: Floor) -> tuple[str, ...]:
     out = []
     for name, sigma in floor.sigma.items():
@@ -135,6 +127,14 @@ def _notes(floor: Floor) -> tuple[str, ...]:
         if name not in WHEELS and not name.startswith("truth") and not 0.8 < ratio < 1.25:
             out.append(f"the noise of {name} is {ratio:.2f} times what run.json states")
     return tuple(out)
+
+
+def _shape(found: Search) -> Shape | None:
+    """The shape that takes most of what is left."""
+    strangers = [one.unknown for one in found.links if one.unknown is not None]
+    if strangers:
+        return max(strangers, key=lambda pair: pair[1])[0]
+    return max((rest.best for rest in found.rests.values()), key=lambda pair: pair[1])[0]
 
 
 def _link(causes: Sequence[Cause], unexplained: Unexplained | None) -> str | None:

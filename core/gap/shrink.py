@@ -94,42 +94,56 @@ def floors(world: World, floor: Floor) -> dict[str, float]:
         if name in WHEELS:
             level *= np.sqrt(2.0)
         elif name.startswith("truth"):
-            level *= np.sqrt(1.6)  # the reading's noise, and most of the start's
+            level *= np.sqrt(2.0)  # the reading's noise, and the start's
         out[name] = float(level)
     return out
 
 
+@dataclass(frozen=True)
+class Shown:
+    """A run's replays: as the simulator is, with the immaterial effects, with all, and with all but each cause."""
+
+    bare: Replay
+    base: Replay
+    full: Replay
+    without: tuple[Replay, ...]
+
+
+def show(world: World, small: EffectSet, causes: EffectSet, floor: Floor) -> Shown:
+    """Every replay that is told of a run. small: immaterial effects; causes: material ones, each left out in turn."""
+    real = {name: values for name, values in causes.items() if name not in NOISES}
+    whole = {**small, **real}
+    alone = [{k: v for k, v in whole.items() if k != name} for name in real]
+    sets: list[EffectSet] = [{}]
+    for one in (small, whole, *alone):
+        if one not in sets:
+            sets.append(one)
+    found = replay(world, sets, floor)
+    return Shown(
+        found[0], found[sets.index(small)], found[sets.index(whole)], tuple(found[sets.index(one)] for one in alone)
+    )
+
+
 def figures(
-    worlds: Sequence[World],
-    floor: Floor,
-    patch: EffectSet,
-    noises: EffectSet,
-    held_out: bool,
-    seed: int,
-) -> tuple[Gap, list[Replay]]:
-    """The gap over all runs, and the replays before. noises: effects of the patch that only add noise."""
-    active = {name: values for name, values in patch.items() if name not in NOISES}
-    before, after = [], []
-    for world in worlds:
-        one, two = replay(world, [{}, active], floor) if active else [replay(world, [{}], floor)[0]] * 2
-        before.append(one)
-        after.append(two)
+    worlds: Sequence[World], floor: Floor, shown: Sequence[Shown], noises: EffectSet, held_out: bool, seed: int
+) -> Gap:
+    """The gap over all runs. noises: effects that only add noise."""
+    before, after = [one.bare for one in shown], [one.full for one in shown]
     names = [name for name in worlds[0].channels if all(name in w.channels for w in worlds)]
     sums = np.array([_block_sums(b, a, names) for w, (b, a) in _blocks(worlds, before, after)])
     level = floors(worlds[0], floor)
     base = np.array([level[name] for name in names])
     louder = {name for effect in noises for name in NOISES[effect]}
-    gap = _gap(sums, names, base, louder, worlds, floor)
+    total, shrink, by_stream = _gap(sums, names, base, louder, worlds, floor)
     draws = []
     rng = np.random.default_rng(seed)
     if len(sums) > 3:
         for _ in range(DRAWS):
             chosen = sums[rng.integers(0, len(sums), len(sums))]
             draws.append(_gap(chosen, names, base, louder, worlds, floor)[1])
-    total, shrink, by_stream = gap
     known = [d for d in draws if d is not None]
     ci = (float(np.quantile(known, 0.05)), float(np.quantile(known, 0.95))) if shrink is not None and known else None
-    return Gap(total, shrink, ci, held_out, by_stream), before
+    return Gap(total, shrink, ci, held_out, by_stream)
 
 
 def scored(world: World, floor: Floor, before: Replay, after: Replay, effects: EffectSet) -> Gap:

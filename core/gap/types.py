@@ -40,7 +40,10 @@ class Place:
 
 @dataclass(frozen=True)
 class Where:
-    """Where the gap lies: a stream, what the robot does there, its share of all excess, p-value, intervals [s]."""
+    """Where the gap lies: a stream, what the robot does there, its share of all excess, p-value.
+
+    intervals: of the first run [s]; by_run: of every run.
+    """
 
     stream: str
     regime: str
@@ -48,6 +51,7 @@ class Where:
     p_value: float
     intervals: tuple[tuple[float, float], ...] = ()
     place: Place | None = None
+    by_run: tuple[tuple[tuple[float, float], ...], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -1,182 +1,315 @@
-"""Where the gap lies: each stream's excess over its floor, what the robot does there, when and at what place.
+"""Where the gap lies: which streams leave their floor, what the robot does there, when, and at what place.
 
-Streams are judged on the replay of the whole chain (what a user of the simulator sees). Excess is counted against
-the floor and its own uncertainty; p-values of all streams are held under one false-discovery rate.
+What is real but immaterial is taken out first. Streams, cells of stream and regime, stretches of time and cells of
+the map are held under one false-discovery control (`discoveries`); neighbours are merged into intervals and a place.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
 from core.effects import EFFECTS
-from core.gap.shrink import Replay
+from core.gap.discoveries import hierarchical
+from core.gap.energy import SPAN, Energy, colour, deviation, energies, parts
+from core.gap.evidence import Cell
+from core.gap.floor import Floor
+from core.gap.generic import Shape
+from core.gap.motion import REGIMES, Motion, motion, regimes, wider
+from core.gap.regimes import INSTANT, PLACED, SIGNATURES, of_shape
+from core.gap.shrink import NOISES, Shown
 from core.gap.types import Place, Where
 from core.gap.world import World
 from core.robot import EffectSet
 
 Array = npt.NDArray[np.float64]
+Runs = Sequence[Mapping[str, Energy]]
 
-SECOND = 1.0
-RATE = 0.05
-"""False-discovery rate over streams."""
-STRONG = 12.0
-"""A block whose mean square is this far above the floor, in its standard deviations, belongs to an interval."""
-MOST = 0.6
-"""Intervals that cover more than this share of the run say nothing."""
 LEAST_SHARE = 0.002
-"""Streams with less of the excess than this are left out."""
-FLOOR_SD = 0.03
-"""The floor of a stream is known to no better than this."""
+"""Streams, and causes in a stream, with less of the excess than this are left out."""
+STRETCH = 2.0
+"""Length of the stretches of time that are tested [s]."""
+GRID = 0.5
+"""Side of the map's cells that are tested [m]."""
+LOCAL = 0.5
+"""Stretches or cells that are more than this share of the run are no "when" or "where"."""
 INSIDE = 0.85
-"""A regime is named if it holds this share of the excess."""
+"""A regime, stretches or cells that hold this share of the excess are named for it."""
+FEW = 3
+"""More intervals than this in one run are a regime, not a time."""
+BUMP = 0.3
+"""A bump's length [s]."""
+SMALLEST = 1e-300
 
 
-def where(
-    worlds: Sequence[World],
-    replays: Sequence[Replay],
-    floors: Mapping[str, float],
-    patch: Place | None,
-    causes: EffectSet,
-) -> tuple[Where, ...]:
-    """Streams that leave their floor, strongest first."""
-    found: list[tuple[str, float, float]] = []
-    for name in worlds[0].channels:
-        values = np.concatenate([one.values[name] for one in replays if name in one.values])
-        if len(values) < 20:
+@dataclass(frozen=True)
+class Ground:
+    """What is known of the fitted runs: worlds, what they do, their energies; by = share of each cause by channel."""
+
+    worlds: Sequence[World]
+    moved: Sequence[Motion]
+    energy: Runs
+    by: Mapping[str, Mapping[str, float]]
+
+    @property
+    def channels(self) -> list[str]:
+        """Channels that have readings."""
+        return [name for name in self.worlds[0].channels if any(name in one for one in self.energy)]
+
+    def all(self, name: str, field: str) -> Array:
+        """One field of a channel's blocks, all runs end to end."""
+        return np.concatenate([getattr(one[name], field) for one in self.energy if name in one])
+
+    def mask(self, name: str, masks: Sequence[Mapping[str, npt.NDArray[np.bool_]]], regime: str) -> Array:
+        """Blocks of a channel in a regime, all runs end to end."""
+        return np.concatenate([m[regime] for m, one in zip(masks, self.energy, strict=True) if name in one])
+
+
+@dataclass(frozen=True)
+class Findings:
+    """`cells`: of the heat map; `where`: rows, strongest first."""
+
+    cells: tuple[Cell, ...]
+    where: tuple[Where, ...]
+
+
+def ground_of(worlds: Sequence[World], shown: Sequence[Shown], causes: EffectSet, floor: Floor) -> Ground:
+    """What the replays show of the fitted runs."""
+    energy = [energies(w, one.bare, one.base, one.full, floor) for w, one in zip(worlds, shown, strict=True)]
+    real = [name for name in causes if name not in NOISES]
+    by = {}
+    for name, each in parts(worlds, [one.full for one in shown], [one.without for one in shown]).items():
+        by[name] = dict(zip(real, (each / max(float(each.sum()), 1e-9)).tolist(), strict=True))
+    return Ground(worlds, [motion(world) for world in worlds], energy, by)
+
+
+def look(ground: Ground, causes: EffectSet, shape: Shape | None) -> Findings:
+    """Everything that leaves its floor.
+
+    causes: the material effects with their parameters. shape: of what no effect explains.
+    """
+    louder = {name: effect for effect in causes if effect in NOISES for name in NOISES[effect]}
+    masks = [regimes(one) for one in ground.moved]
+    floors = {name: _sums(ground, name, name in louder) for name in ground.channels}
+    families = {}
+    for name in ground.channels:
+        tint = colour(ground.energy, name)
+        cells = [_p(ground, name, tint, ground.mask(name, masks, regime)) for regime in REGIMES]
+        families[name] = np.array(
+            [floors[name][2], *cells, *_stretches(ground, name, tint), *_grid(ground, name, tint)]
+        )
+    found = hierarchical(families)
+    table = []
+    for name in ground.channels:
+        for k, regime in enumerate(REGIMES):
+            table.append(_cell(ground, name, regime, masks, float(families[name][k + 1]), bool(found[name][k + 1])))
+    weight = {name: _trust(ground, name) * max(excess, 0.0) for name, (excess, _, _) in floors.items()}
+    total = max(sum(weight.values()), 1e-9)
+    rows: list[Where] = []
+    for name, (_, _, p) in floors.items():
+        share = weight[name] / total
+        if name in louder:
+            rows.append(Where(name, SIGNATURES[louder[name]], share, max(p, SMALLEST)))
+        elif found[name].any() and p < 0.05 and share > LEAST_SHARE:
+            rows += _rows(ground, name, share, max(p, SMALLEST), causes, shape)
+    if "beacon_shadow" in causes:
+        rows += _shadowed(ground, causes["beacon_shadow"], 1.0 if not rows else 0.0)
+    return Findings(tuple(table), tuple(sorted(rows, key=lambda one: -one.share)))
+
+
+def _trust(ground: Ground, name: str) -> float:
+    """What a channel's excess counts: a reference is believed to what it states, however quiet it is."""
+    if not name.startswith("truth"):
+        return 1.0
+    return float(min(ground.all(name, "floor").sum() / max(2.0 * ground.all(name, "rows").sum(), 1.0), 1.0))
+
+
+def _shadowed(ground: Ground, values: Mapping[str, float | str], share: float) -> list[Where]:
+    """Rows of the streams that are missing in a shadow."""
+    names = [name for name in ("beacon.x", "beacon.y", "beacon.theta", "ranges.range") if name in ground.channels]
+    spans, place = _spans(ground, "beacon_shadow", values), _disc("beacon_shadow", values)
+    return [Where(name, "place", share / len(names), SMALLEST, spans[0], place, spans) for name in names]
+
+
+def _sums(ground: Ground, name: str, louder: bool) -> tuple[float, float, float]:
+    """A channel's excess, degrees of freedom and p-value over everything. louder: its stated noise is the floor."""
+    excess, dof = (float(ground.all(name, field).sum()) for field in ("excess", "dof"))
+    if louder:
+        excess, dof = (float(ground.all(name, field).sum()) for field in ("before", "rows"))
+        excess -= dof
+    sd = float(deviation(np.array(dof), colour(ground.energy, name)))
+    return excess, dof, float(stats.norm.sf(excess / sd))
+
+
+def _p(ground: Ground, name: str, tint: float, mask: Array) -> float:
+    excess, dof = ground.all(name, "excess")[mask].sum(), ground.all(name, "dof")[mask].sum()
+    return float(_tail(np.array([excess]), np.array([dof]), tint)[0])
+
+
+def _tail(excess: Array, dof: Array, tint: float) -> Array:
+    """p-values of sums of excess: gamma tails with the scatter that they have (few readings are skewed)."""
+    some = dof > 0.5
+    variance = deviation(dof, tint) ** 2
+    mean = np.maximum(dof, 1e-9)
+    out: Array = np.where(some, stats.gamma.sf((excess + dof) * mean / variance, mean**2 / variance), 1.0)
+    return np.clip(out, SMALLEST, 1.0)
+
+
+def _cell(
+    ground: Ground, name: str, regime: str, masks: Sequence[Mapping[str, npt.NDArray[np.bool_]]], p: float, real: bool
+) -> Cell:
+    mask = ground.mask(name, masks, regime)
+    rows, before, after, dof = (float(ground.all(name, f)[mask].sum()) for f in ("rows", "before", "after", "floor"))
+    n = max(rows, 1.0)
+    rms = [float(np.sqrt(part / n)) for part in (before, after, dof)]
+    return Cell(name, regime, int(rows), rms[0], rms[1], rms[2], p, real)
+
+
+def _stretches(ground: Ground, name: str, tint: float) -> Array:
+    """p-values of stretches of time, run after run."""
+    return np.concatenate([_stretches_of(one[name], tint) for one in ground.energy if name in one])
+
+
+def _stretches_of(one: Energy, tint: float) -> Array:
+    step = round(STRETCH / SPAN)
+    first = np.arange(0, len(one.dof), step)
+    return _tail(np.add.reduceat(one.excess, first), np.add.reduceat(one.dof, first), tint)
+
+
+def _grid(ground: Ground, name: str, tint: float) -> Array:
+    """p-values of the map's cells that the robot visits."""
+    cell = _cell_numbers(ground, name)
+    if cell is None:
+        return np.empty(0)
+    excess, dof = (np.bincount(cell, ground.all(name, part)).astype(np.float64) for part in ("excess", "dof"))
+    return _tail(excess[dof > 0.5], dof[dof > 0.5], tint)
+
+
+def _places(ground: Ground, name: str) -> tuple[Array, Array]:
+    return (
+        np.concatenate([m.x for m, one in zip(ground.moved, ground.energy, strict=True) if name in one]),
+        np.concatenate([m.y for m, one in zip(ground.moved, ground.energy, strict=True) if name in one]),
+    )
+
+
+def _cell_numbers(ground: Ground, name: str) -> npt.NDArray[np.int64] | None:
+    x, y = _places(ground, name)
+    if not np.isfinite(x).all():
+        return None
+    column, row = (np.floor((part - part.min()) / GRID).astype(np.int64) for part in (x, y))
+    _, number = np.unique(column * (int(row.max()) + 1) + row, return_inverse=True)
+    return np.asarray(number, dtype=np.int64)
+
+
+def _rows(ground: Ground, name: str, share: float, p: float, causes: EffectSet, shape: Shape | None) -> list[Where]:
+    """One row per regime of a stream: as its causes act, else as the data show."""
+    by = {effect: part for effect, part in ground.by.get(name, {}).items() if part > LEAST_SHARE}
+    out: dict[str, Where] = {}
+    for effect, part in sorted(by.items(), key=lambda item: -item[1]):
+        regime = SIGNATURES[effect]
+        if regime in out:
+            part += out[regime].share / share
+        spans = _spans(ground, effect, causes[effect])
+        out[regime] = Where(name, regime, share * part, p, spans[0], _disc(effect, causes[effect]), spans)
+    if out and shape is None:
+        return list(out.values())
+    told = of_shape(shape.channel, shape.regressor, shape.text) if shape is not None else None
+    rest = max(1.0 - sum(by.values()), 0.0)
+    if out and (shape is None or rest < LEAST_SHARE):
+        return list(out.values())
+    spans, place = _intervals(ground, name), _hot_place(ground, name)
+    regime = "place" if place is not None else told or _regime(ground, name)
+    out.setdefault(regime, Where(name, regime, share * rest, p, spans[0] if spans else (), place, spans))
+    return list(out.values())
+
+
+def _spans(
+    ground: Ground, effect: str, values: Mapping[str, float | str]
+) -> tuple[tuple[tuple[float, float], ...], ...]:
+    """Per run, when a local cause acts."""
+    if effect in INSTANT:
+        at = float(values["time"])
+        return tuple(((at, at + BUMP),) for _ in ground.worlds)
+    if effect not in PLACED:
+        return tuple(() for _ in ground.worlds)
+    x, y, radius = (float(values[key]) for key in ("x", "y", "radius"))
+    out = []
+    for one in ground.moved:
+        inside = np.hypot(one.x - x, one.y - y) < radius
+        out.append(_merged(one.t - 0.5 * SPAN, inside, SPAN))
+    return tuple(out)
+
+
+def _disc(effect: str, values: Mapping[str, float | str]) -> Place | None:
+    return Place(*(float(values[key]) for key in ("x", "y", "radius"))) if effect in PLACED else None
+
+
+def _merged(t: Array, inside: npt.NDArray[np.bool_], length: float) -> tuple[tuple[float, float], ...]:
+    """Neighbouring blocks as intervals."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], inside.astype(int), [0]))))
+    return tuple((float(t[a]), float(t[b - 1]) + length) for a, b in zip(edges[::2], edges[1::2], strict=True))
+
+
+def _intervals(ground: Ground, name: str) -> tuple[tuple[tuple[float, float], ...], ...]:
+    """Per run, merged stretches that hold nearly all of the excess, if they are few; else nothing."""
+    out: list[tuple[tuple[float, float], ...]] = []
+    held, seconds, whole = 0.0, 0.0, 0.0
+    tint, step = colour(ground.energy, name), round(STRETCH / SPAN)
+    for one in ground.energy:
+        if name not in one:
+            out.append(())
             continue
-        level = floors[name] ** 2
-        clipped = values**2 / level
-        excess = float(np.sum(values**2 - level))
-        n = len(values)
-        sd = np.sqrt(2.0 * n * _colour(name) + (2.0 * FLOOR_SD * n) ** 2)
-        found.append((name, excess, float(stats.norm.sf((float(np.sum(clipped)) - n) / sd))))
-    total = sum(max(excess, 0.0) for _, excess, _ in found)
-    passed = _discoveries([p for _, _, p in found])
-    rows = []
-    for (name, excess, p), real in zip(found, passed, strict=True):
-        if real and excess > LEAST_SHARE * total:
-            regime, intervals = regime_of(worlds, replays, name, floors[name])
-            regime = told(name, causes) or regime
-            rows.append(Where(name, regime, excess / total, max(p, 1e-300), intervals, patch))
-    return tuple(sorted(rows, key=lambda one: -one.share))
+        first = np.arange(0, len(one[name].dof), step)
+        excess = np.add.reduceat(one[name].excess, first)
+        strong = _stretches_of(one[name], tint) < 1e-4
+        held += float(excess[strong].sum())
+        seconds, whole = seconds + STRETCH * float(strong.sum()), whole + STRETCH * len(first)
+        out.append(_merged(first.astype(np.float64) * SPAN, strong, STRETCH))
+    total = float(ground.all(name, "excess").sum())
+    few = all(len(spans) <= FEW for spans in out)
+    return tuple(out) if few and held > INSIDE * total and seconds < LOCAL * whole else ()
 
 
-SIGNATURES = {
-    "command_delay": "accelerating", "motor_lag": "accelerating", "speed_limit": "fast", "accel_limit": "accelerating",
-    "deadband": "slow", "drive_gain": "moving", "battery_sag": "early to late", "wheel_radius": "moving",
-    "unequal_wheels": "moving", "track_width": "turning", "wheel_slip": "accelerating",
-    "side_slip": "turning while moving", "slip_patch": "place", "bump": "time", "floor_tilt": "heading",
-    "gyro_bias": "always", "gyro_drift": "early to late", "gyro_walk": "early to late",
-    "gyro_temperature": "early to late", "gyro_scale": "turning", "gyro_noise": "always", "gyro_clip": "fast turning",
-    "gyro_g_sensitivity": "turning while moving", "accel_bias": "always", "accel_scale": "accelerating",
-    "imu_yaw": "accelerating", "imu_offset": "turning", "vibration": "moving", "missed_ticks": "moving",
-    "beacon_delay": "moving", "beacon_shift": "always", "beacon_rotation": "always", "beacon_scale": "always",
-    "tag_offset": "heading", "beacon_noise": "always", "beacon_outliers": "always", "beacon_shadow": "place",
-    "anchor_moved": "place", "range_bias": "always", "imu_clock": "accelerating", "clock_drift": "early to late",
-}  # fmt: skip
-"""Where each effect shows, by its equation."""
+def _hot_place(ground: Ground, name: str) -> Place | None:
+    """The disc of the map that holds nearly all of the excess of a stream, if it is small and much passed otherwise."""
+    x, y = _places(ground, name)
+    if not np.isfinite(x).all():
+        return None
+    excess, dof = np.maximum(ground.all(name, "excess"), 0.0), ground.all(name, "dof")
+    moving = np.concatenate(
+        [np.hypot(m.v, m.w) > 0.05 for m, one in zip(ground.moved, ground.energy, strict=True) if name in one]
+    )
+    total, spread = float(excess.sum()), max(float(np.ptp(x)), float(np.ptp(y)))
+    best: tuple[float, Place] | None = None
+    order = np.argsort(-excess)[:200:10]
+    for radius in np.geomspace(0.2, max(0.3 * spread, 0.21), 6):
+        for k in order:
+            inside = np.hypot(x - x[k], y - y[k]) < radius
+            share, size = (
+                float(excess[inside].sum()) / total,
+                float(dof[inside & moving].sum() / max(dof[moving].sum(), 1.0)),
+            )
+            if share > INSIDE and size < 0.25 and (best is None or share - size > best[0]):
+                best = (share - size, Place(float(x[k]), float(y[k]), float(radius)))
+    return best[1] if best else None
 
 
-def told(stream: str, causes: EffectSet) -> str | None:
-    """The regime of the causes that touch a stream; None where none does."""
-    found = [SIGNATURES[name] for name in causes if stream in EFFECTS[name].streams]
-    return ", ".join(dict.fromkeys(found)) if found else None
-
-
-def _colour(name: str) -> float:
-    """By how much more a stream's mean square varies than that of white noise: windows share their start's error."""
-    return 100.0 if name.startswith(("truth", "wheels")) else 1.0
-
-
-def _discoveries(p_values: Sequence[float]) -> list[bool]:
-    """Benjamini and Hochberg's rule."""
-    p = np.array(p_values)
-    order = np.argsort(p)
-    fine = p[order] <= RATE * (np.arange(len(p)) + 1) / max(len(p), 1)
-    last = int(np.flatnonzero(fine).max(initial=-1))
-    out = np.zeros(len(p), dtype=bool)
-    out[order[: last + 1]] = True
-    return out.tolist()
-
-
-def regime_of(
-    worlds: Sequence[World], replays: Sequence[Replay], name: str, floor: float
-) -> tuple[str, tuple[tuple[float, float], ...]]:
-    """What the robot does where a stream's excess lies, and the intervals of the first run that hold it."""
-    parts, spans = [], []
-    for k, (world, one) in enumerate(zip(worlds, replays, strict=True)):
-        if name not in one.values:
-            continue
-        t, e, n = _blocks(one.times[name], one.values[name] ** 2 / floor**2 - 1.0)
-        v, w, a = motion(world, t)
-        parts.append(np.column_stack((e, n, v, w, a, t / max(float(t[-1]), 1.0))))
-        if k == 0:
-            spans = _intervals(t, e, n)
-    rows = np.concatenate(parts)
-    return _regime(rows), tuple(spans)
-
-
-def motion(world: World, t: Array) -> tuple[Array, Array, Array]:
-    """Mean size of forward speed [m/s], turn rate [rad/s] and rim acceleration [m/s²] in the second from each stamp."""
-    inputs = world.body_inputs
-    times = inputs.times
-    left, right = inputs.left[:, 0], inputs.right[:, 0]
-    v, w = 0.5 * (left + right), (right - left) / (world.run.meta.robot.track_width or 1.0)
-    a = np.maximum(np.abs(inputs.left[:, 1]), np.abs(inputs.right[:, 1]))
-    fine = t[:, None] + np.linspace(0.05, 0.95, 7)
-    pick = [np.abs(np.interp(fine, times, part)) for part in (v, w, a)]
-    return pick[0].mean(axis=1), pick[1].mean(axis=1), pick[2].mean(axis=1)
-
-
-def _blocks(t: Array, excess: Array) -> tuple[Array, Array, Array]:
-    number = np.floor(t / SECOND)
-    first = np.flatnonzero(np.diff(number, prepend=-1.0))
-    return number[first] * SECOND, np.add.reduceat(excess, first), np.diff(np.append(first, len(t))).astype(float)
-
-
-def _intervals(t: Array, excess: Array, n: Array) -> list[tuple[float, float]]:
-    strong = excess / np.sqrt(2.0 * np.maximum(n, 1.0)) > STRONG
-    if not strong.any() or strong.mean() > MOST:
-        return []
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], strong.astype(int), [0]))))
-    spans = [[float(t[a]), float(t[b - 1]) + SECOND] for a, b in zip(edges[::2], edges[1::2], strict=True)]
-    merged = [spans[0]]
-    for a, b in spans[1:]:
-        if a - merged[-1][1] <= 2.0:
-            merged[-1][1] = b
-        else:
-            merged.append([a, b])
-    return [(a, b) for a, b in merged] if len(merged) <= 40 else []
-
-
-def _regime(rows: Array) -> str:
-    """The narrowest of the named regimes that holds most of the excess: by how much its density exceeds the rest's."""
-    e, n, v, w, a, t = rows.T
-    e = np.maximum(e, 0.0)
-    total = float(e.sum())
-    if total <= 0.0:
-        return "all"
-    moving, turning = v > 0.05, w > 0.1
-    masks = {
-        "moving": moving | turning,
-        "turning": turning,
-        "turning while moving": turning & moving,
-        "straight": moving & ~turning,
-        "fast turning": w > 0.6 * np.quantile(w, 0.98),
-        "accelerating": a > 0.25 * max(float(np.quantile(a, 0.98)), 1e-6),
-        "slow": (v < 0.12) & (moving | turning),
-        "fast": v > 0.7 * np.quantile(v, 0.98),
-        "still": ~(moving | turning),
-        "early": t < 0.3,
-        "late": t > 0.5,
-    }
+def _regime(ground: Ground, name: str) -> str:
+    """The narrowest regime that holds most of the excess: by how much its density exceeds the rest's."""
+    excess, dof = np.maximum(ground.all(name, "excess"), 0.0), ground.all(name, "dof")
+    total = float(excess.sum())
+    masks = [wider(one) for one in ground.moved]
     scores = {}
-    for name, mask in masks.items():
-        share, size = float(e[mask].sum()) / total, float(n[mask].sum()) / float(n.sum())
+    for regime in masks[0]:
+        mask = ground.mask(name, masks, regime)
+        share, size = float(excess[mask].sum()) / max(total, 1e-9), float(dof[mask].sum()) / float(dof.sum())
         if share > INSIDE and 0.0 < size < 0.97:
-            scores[name] = (share - size) / (1.0 - size) - 0.25 * size
-    return max(scores, key=lambda name: scores[name]) if scores else "all"
+            scores[regime] = (share - size) / (1.0 - size) - 0.25 * size
+    return max(scores, key=lambda one: scores[one]) if scores else "always"
+
+
+assert set(SIGNATURES) == set(EFFECTS)
