@@ -109,6 +109,7 @@ export function drawEnds(ctx, view, path) {
   ctx.beginPath();
   ctx.arc(view.toX(path.x[ends[0]]), view.toY(path.y[ends[0]]), 5, 0, 7);
   ctx.stroke();
+  if (path.hold) return; // the robot stands there
   ctx.fillRect(view.toX(path.x[ends[1]]) - 4, view.toY(path.y[ends[1]]) - 4, 8, 8);
   ctx.strokeStyle = colour("--surface");
   ctx.lineWidth = 1;
@@ -158,7 +159,19 @@ export function placeEvents(view, path, events) {
     taken.add(place);
     placed.push({ event, x, y, size, label: events.length <= 12 && !event.faint ? event.label : "" });
   }
-  return placed;
+  return withoutCrowding(placed);
+}
+
+// A label that would lie on another mark or label gives way; its mark tells it on hover.
+function withoutCrowding(placed) {
+  const boxes = placed.map(({ x, y, size, label }) => ({ left: x + 8, right: x + 12 + 6.6 * label.length, y, mark: [x - size, x + size] }));
+  const shown = new Set();
+  const hits = (a, b, i) => Math.abs(a.y - b.y) < 14 && ((a.left < b.mark[1] && b.mark[0] < a.right) || (shown.has(i) && a.left < b.right && b.left < a.right));
+  return placed.map((one, i) => {
+    if (!one.label || boxes.some((box, j) => j !== i && hits(boxes[i], box, j))) return { ...one, label: "" };
+    shown.add(i);
+    return one;
+  });
 }
 
 // Events where the path was when they began, each kind with its own mark.
