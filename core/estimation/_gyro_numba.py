@@ -13,13 +13,13 @@ N = 5  # x, y, theta, bias, gyro scale (its error is carried, never corrected)
 @njit(cache=True, nogil=True)  # type: ignore[misc, unused-ignore]
 def walk(
     dt: Any, turn: Any, distance: Any, gz: Any, still: Any, q_turn: Any, q_distance: Any, q_bias: float, r_gyro: float,
-    gate: float, patience: int, x: Any, P: Any, pose: Any, covariance: Any, bias: Any, bias_var: Any,
+    gate: float, patience: int, refused: Any, x: Any, P: Any, pose: Any, covariance: Any, bias: Any, bias_var: Any,
 ) -> None:  # fmt: skip
     """Fill pose (N, 3), covariance (N, 3, 3), bias and bias_var (N,); step k leads from row k - 1 to row k.
 
-    turn, distance (N,): gyro's raw turn and wheels' distance of the step; q_*: their variances; x (5,), P (5, 5) start.
+    turn, distance (N,): gyro's raw turn and wheels' distance of the step; q_*: their variances. refused (1,), x (5,),
+    P (5, 5): where it begins, and where it was left.
     """
-    refused = 0
     for k in range(dt.shape[0]):
         if k > 0:
             P[3, 3] += q_bias * dt[k]
@@ -27,8 +27,8 @@ def walk(
             if still[k]:
                 nu = gz[k] - x[3]
                 S = P[3, 3] + r_gyro
-                refused = refused + 1 if nu * nu > gate * S else 0
-                resting = refused == 0 or refused > patience
+                refused[0] = refused[0] + 1 if nu * nu > gate * S else 0
+                resting = refused[0] == 0 or refused[0] > patience
                 if resting:
                     for i in range(N):
                         x[i] += P[i, 3] / S * nu

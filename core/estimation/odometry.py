@@ -173,7 +173,8 @@ def encoders_gyro(run: Run, config: Config | None = None) -> Estimate:
     walk(
         np.diff(imu.t, prepend=imu.t[0]), turns.step, distance, gyro_readings(imu)[1], rest.flags,
         turns.variance, numbers.slip**2 / 2 * np.abs(distance), numbers.bias_walk**2, rest.gyro_sd**2,
-        chi2_gate(1, numbers), int(numbers.reaccept * imu.rate / 2), x, P, pose, covariance, bias, bias_var,
+        chi2_gate(1, numbers), int(numbers.reaccept * imu.rate / 2), np.zeros(1, np.int64), x, P, pose,
+        covariance, bias, bias_var,
     )  # fmt: skip
     covariance += reading_noise(pose[:, 2], encoder_quantum(run, numbers) * robot.wheel_radius, None)
     covariance += geometry_error(pose, np.cumsum(distance), None, numbers)
@@ -196,12 +197,14 @@ class GyroTurns:
     variance: Array
 
 
-def gyro_turns(imu: ImuLog, numbers: Assumptions) -> GyroTurns:
-    """Trapezoidal turns; over a pause of the gyro each end's rate holds for a few samples, and the rest is unknown."""
+def gyro_turns(imu: ImuLog, numbers: Assumptions, hold: float | None = None) -> GyroTurns:
+    """Trapezoidal turns; over a pause of the gyro each end's rate holds for a few samples (`hold` [s], told from the
+    stamps where None), and the rest is unknown."""
     dt = np.diff(imu.t, prepend=imu.t[0])
     _, gz = gyro_readings(imu)
-    pause = pauses(dt)
-    covered = np.where(pause, np.minimum(dt, 2 * longest_hold(dt)), dt)
+    hold = longest_hold(dt) if hold is None else hold
+    pause = dt > 2 * hold
+    covered = np.where(pause, np.minimum(dt, 2 * hold), dt)
     step = 0.5 * (gz + np.concatenate((gz[:1], gz[:-1]))) * covered
     return GyroTurns(step, numbers.gyro_density**2 / 2 * dt + np.where(pause, numbers.pause_rate**2 * dt, 0.0))
 
@@ -209,11 +212,6 @@ def gyro_turns(imu: ImuLog, numbers: Assumptions) -> GyroTurns:
 def longest_hold(dt: Array) -> float:
     """How long a gyro reading is taken to last [s]: five typical steps."""
     return 5.0 * float(np.median(dt[1:])) if len(dt) > 1 else 0.0
-
-
-def pauses(dt: Array) -> npt.NDArray[np.bool_]:
-    """Steps over which the gyro said too little: longer than twice the longest hold."""
-    return dt > 2 * longest_hold(dt)
 
 
 def chi2_gate(dof: int, numbers: Assumptions) -> float:

@@ -34,18 +34,21 @@ class Rest:
     gyro_sd: float
 
 
-def at_rest(run: Run, numbers: Assumptions) -> Rest:
-    """Rest at each IMU stamp. Without wheels nothing counts as rest."""
+def at_rest(run: Run, numbers: Assumptions, gyro_sd: float | None = None) -> Rest:
+    """Rest at each IMU stamp. Without wheels nothing counts as rest.
+
+    gyro_sd [rad/s]: noise of one gyro reading at rest, learnt from the run where None.
+    """
     imu = run.imu
     assert imu is not None
     sheet_sd = numbers.gyro_density * np.sqrt(max(imu.rate, 1.0) / 2)
     if run.wheels is None or len(run.wheels) < 2 or len(imu) < MIN_WINDOW:
-        return Rest(np.zeros(len(imu), bool), float(sheet_sd))
+        return Rest(np.zeros(len(imu), bool), float(sheet_sd) if gyro_sd is None else gyro_sd)
     quiet = wheels_still(run.wheels, imu.t, numbers.rest_time) & no_command(run.commands, imu.t, numbers.rest_time)
     mean, variance, full = _window(imu, numbers.rest_time)
     asked = quiet & full
     learnt = float(np.sqrt(np.quantile(variance[asked], 0.25))) if asked.any() else 0.0
-    sd = float(np.clip(learnt, sheet_sd, LOUDEST * sheet_sd))
+    sd = float(np.clip(learnt, sheet_sd, LOUDEST * sheet_sd)) if gyro_sd is None else gyro_sd
     return Rest(asked & (variance <= LOOSENESS * sd**2) & (np.abs(mean) <= numbers.rest_rate), sd)
 
 

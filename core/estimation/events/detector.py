@@ -82,6 +82,7 @@ class Detector:
         self._cs = np.zeros(incident.STATE)
         self._cs[incident.LAST_MIS] = -1e9
         self._last_blow, self._speed = -1e9, np.zeros(2)
+        self._wheels = np.zeros((0, 3))  # the last reading before the piece: stamp, both angles
         self._rows: list[Array] = []
 
     def feed(self, piece: Run) -> tuple[Disturbance, ...]:
@@ -142,13 +143,17 @@ class Detector:
     def _rim_speed(self, piece: Run, t: Array) -> Array:
         """(N, 2) speed [m/s] of the faster wheel, and of both on average, by the newest readings at each IMU stamp."""
         radius, w = self._meta.robot.wheel_radius, piece.wheels
-        if w is None or not radius or len(w) < 2:
+        if w is None or not radius or not len(w):
             return np.tile(self._speed, (len(t), 1))
         angles = np.column_stack([_plausible(c, FARTHEST_ANGLE) for c in (w.left, w.right)])
-        rims = np.diff(angles, axis=0) * radius / np.diff(w.t)[:, None]
+        stamps, angles = np.concatenate((self._wheels[:, 0], w.t)), np.vstack((self._wheels[:, 1:], angles))
+        self._wheels = np.concatenate((stamps[-1:], angles[-1]))[None, :]
+        rims = np.diff(angles, axis=0) * radius / np.diff(stamps)[:, None]
+        if not len(rims):
+            return np.tile(self._speed, (len(t), 1))
         speed = np.vstack((self._speed, np.column_stack((np.abs(rims).max(axis=1), rims.mean(axis=1)))))
         self._speed = speed[-1]
-        return np.ascontiguousarray(speed[np.searchsorted(w.t[1:], t, "right")])
+        return np.ascontiguousarray(speed[np.searchsorted(stamps[1:], t, "right")])
 
     def _residuals(self, piece: Run, flush: bool) -> Array:
         t, kind, data = self._merged(piece)

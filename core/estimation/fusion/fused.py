@@ -23,6 +23,7 @@ from core.estimation.fusion.noise import learn, trusted_turns
 from core.estimation.fusion.sanity import sound
 from core.estimation.fusion.start import Start, find_start
 from core.estimation.fusion.walk import Problem, Walk, problem, smooth, walk
+from core.estimation.fusion.witness import rest_walk, turn_slip
 from core.estimation.rest import Rest, at_rest
 from core.estimation.result import Curve, Estimate
 from core.run import Run
@@ -68,13 +69,14 @@ def prepare(run: Run, config: Config | None = None) -> Prepared:
     if rest is not None:
         events, numbers, trusted = trusted_turns(events, numbers, lambda e, n: _alone(run, e, n, rest))
     disturbances = _believed(detect(run, numbers), events)
-    start = find_start(run, events, numbers, lambda: _reckoned(*_alone(run, events, numbers, rest)))
+    start = find_start(run, events, numbers, lambda: reckoned_alone(run, events, numbers, rest))
     events = start.without_used(events)
 
     def trial(e: Events, n: Assumptions) -> Walk:
         return walk(problem(run, e, start, n, rest), e, disturbances)
 
-    numbers, learnt = learn(run, events, numbers, config or {}, trial)
+    wheels = turn_slip(run, events, numbers, disturbances) if rest is not None else None
+    numbers, learnt = learn(run, events, numbers, config or {}, trial, wheels, rest_walk(run, rest))
     notes = (*wrong, *start.notes, *trusted, *learnt, *notes, *events.notes)
     return Prepared(run, events, numbers, problem(run, events, start, numbers, rest), disturbances, rest, notes)
 
@@ -92,6 +94,11 @@ def _alone(run: Run, events: Events, numbers: Assumptions, rest: Rest | None) ->
     origin = Start(np.zeros(3), np.zeros((3, 3)))
     inner = events.kept(~events.of(FIX, RANGE))
     return inner, walk(problem(run, inner, origin, numbers, rest), inner)
+
+
+def reckoned_alone(run: Run, events: Events, numbers: Assumptions, rest: Rest | None) -> Trajectory:
+    """The path of wheels and IMU alone from the origin, by the same filter."""
+    return _reckoned(*_alone(run, events, numbers, rest))
 
 
 def _reckoned(events: Events, walked: Walk) -> Trajectory:

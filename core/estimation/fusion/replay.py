@@ -12,9 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from core.errors import ParameterError
+from core.estimation.events import Disturbances
 from core.estimation.fusion.events import Events
 from core.estimation.fusion.layout import OUT
-from core.estimation.fusion.walk import Problem, State, tracks
+from core.estimation.fusion.walk import Problem, State, flagged, tracks
 
 Array = npt.NDArray[np.float64]
 
@@ -50,6 +51,26 @@ class Replay:
         parts = [*self._old, (self._events.out, self._rows, self._covariance)]
         t, rows, covariance = (np.concatenate([part[i] for part in parts]) for i in range(3))
         return t, rows, covariance
+
+    def drain(self) -> tuple[Array, Array, Array]:
+        """As `path`, of the rows that no reading can change any more; they are forgotten here."""
+        nothing = (np.zeros(0), np.zeros((0, 5)), np.zeros((0, 3, 3)))
+        parts, self._old = [nothing, *self._old], []
+        t, rows, covariance = (np.concatenate([part[i] for part in parts]) for i in range(3))
+        return t, rows, covariance
+
+    def since(self, t: float) -> tuple[Array, Array, Array]:
+        """As `path`, of the rows after `t` that can still change."""
+        first = int(np.searchsorted(self._events.out, t, "right"))
+        return self._events.out[first:], self._rows[first:], self._covariance[first:]
+
+    def tell(self, known: Disturbances) -> None:
+        """What befell the robot, as far as the horizon reaches back: marked, and walked to the present again."""
+        events = flagged(self._events, known.dated(self._events.t))
+        changed = np.flatnonzero(events.flags != self._events.flags)
+        if changed.size:
+            self._events = events
+            self._walk_from(int(changed[0]))
 
     def take(self, t: Array, kind: npt.NDArray[np.int64], data: Array, flags: npt.NDArray[np.int64]) -> None:
         """Readings (K,) as `layout` describes them, in any order."""
