@@ -42,9 +42,14 @@ def chi2_band(dof: int, samples: int = 1, probability: float = 0.95) -> tuple[fl
 
 
 def nees(
-    trajectory: Trajectory, truth: TruthLog, *, truth_sd: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    trajectory: Trajectory,
+    truth: TruthLog,
+    *,
+    truth_sd: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    truth_clock: float = 0.0,
 ) -> Consistency | None:
-    """NEES over the components that truth has; None without covariance or truth. `truth_sd` (x, y, theta) is added.
+    """NEES over the components that truth has; None without covariance or truth. `truth_sd` (x, y, theta) is added, and
+    what an error of truth's stamps by `truth_clock` [s, one sigma] does while the robot moves.
 
     The claimed covariance is that of the path's pose nearest in time.
     """
@@ -59,6 +64,11 @@ def nees(
     error[:, 2] = wrap_angle(error[:, 2])
     t, e = m.t[rows], error[:, parts]
     claimed = trajectory.covariance[_nearest(trajectory.t, t)] + np.diag(np.square(truth_sd))
+    if truth_clock > 0 and len(t) > 1:
+        reference = np.nan_to_num(m.truth[rows])
+        reference[:, 2] = np.unwrap(reference[:, 2])
+        moved = truth_clock * np.gradient(reference, t, axis=0)
+        claimed = claimed + moved[:, :, None] * moved[:, None, :]
     P = claimed[:, parts[:, None], parts[None, :]]
     usable = np.linalg.cond(P) < 1e12
     if not usable.any():

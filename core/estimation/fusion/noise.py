@@ -17,6 +17,7 @@ from core.estimation.assumptions import Assumptions, Config
 from core.estimation.fusion.events import Events
 from core.estimation.fusion.layout import FIX, KB, RANGE, WHEEL
 from core.estimation.fusion.walk import Walk
+from core.estimation.fusion.witness import Evidence, TurnSlip
 from core.run import Run
 
 Array = npt.NDArray[np.float64]
@@ -26,6 +27,7 @@ LEADING = 60_000  # events that are looked at
 PASSES = 4  # for the sd of fixes and ranges
 TYPICAL_SLIP, SLIP_SPREAD = 4e-3, 1.0  # m/sqrt(m), of tyres on a floor; sd of its logarithm
 SLIP_STEP, SLIP_STEPS = 2.0, 5  # levels of slip are this far apart, this many each way at most
+WALK_STEP, WALK_STEPS, WALK_SPREAD = 3.0, 4, 1.5  # the same of the walk of the gyro's bias
 IMPOSSIBLE = 4.0  # sd from the stated track width
 CONTRADICTED = 0.3  # share of the time that wheels and gyro may disagree about turning
 SKID, SKID_SCALE = 0.6, 0.2  # m, relative: what wheels that skid do to the distance
@@ -34,19 +36,36 @@ MEDIAN_CHI2 = {1: 0.4549, 2: 1.3863, 3: 2.3660}
 
 
 Walker = Callable[[Events, Assumptions], Walk]
+Likely = Callable[[Assumptions], float]
 
 
 def learn(
-    run: Run, events: Events, numbers: Assumptions, config: Config, walk: Walker
+    run: Run,
+    events: Events,
+    numbers: Assumptions,
+    config: Config,
+    walk: Walker,
+    wheels: TurnSlip | None,
+    bias: Evidence,
 ) -> tuple[Assumptions, tuple[str, ...]]:
-    """The numbers with learnt noise in place of assumed noise, and notes that say which."""
+    """The numbers with learnt noise in place of assumed noise, and notes that say which.
+
+    wheels, bias: what wheels and gyro say of slip, and the gyro at rest of its bias (`witness`).
+    """
     absolute = int(np.sum((events.kind == FIX) | (events.kind == RANGE)))
-    if absolute < ENOUGH:
-        return numbers, ()
     leading = events.leading(LEADING)
-    numbers, notes = _readings(run, leading, numbers, config, walk)
-    if "slip" not in config:
-        numbers, more = _slip(leading, numbers, walk)
+    notes: tuple[str, ...] = ()
+    if absolute >= ENOUGH:
+        numbers, notes = _readings(run, leading, numbers, config, walk)
+
+    def likely(tried: Assumptions) -> float:
+        return _log_likelihood(leading, walk(leading, tried)) if absolute >= ENOUGH else 0.0
+
+    if "slip" not in config and (absolute >= ENOUGH or wheels is not None):
+        numbers, more = _slip(numbers, likely, wheels)
+        notes += more
+    if "bias_walk" not in config and (numbers.bias_sd > 0 and run.imu is not None):
+        numbers, more = _bias_walk(numbers, likely, bias)
         notes += more
     return numbers, notes
 
@@ -115,29 +134,52 @@ def _factor(events: Events, walked: Walk, kind: int) -> float:
     return float(np.clip(np.sqrt(np.mean(medians)), 0.1, 10.0)) if medians else 1.0
 
 
-def _slip(events: Events, numbers: Assumptions, walk: Walker) -> tuple[Assumptions, tuple[str, ...]]:
+def _slip(numbers: Assumptions, likely: Likely, wheels: TurnSlip | None) -> tuple[Assumptions, tuple[str, ...]]:
     """Climb from the typical slip, up or down by SLIP_STEP, while it becomes likelier: by the innovations of fixes and
-    ranges, and by what wheels on a floor usually do (SLIP_SPREAD, a factor of e in one sigma)."""
+    ranges, by the wheels' turn against the gyro's, and by what wheels on a floor usually do (SLIP_SPREAD, a factor of e
+    in one sigma)."""
     across = numbers.side_slip / max(numbers.slip, 1e-9)
 
     def at(k: int) -> tuple[Assumptions, float]:
         slip = TYPICAL_SLIP * SLIP_STEP**k
         tried = dataclasses.replace(numbers, slip=slip, side_slip=across * slip)
         usual = (k * np.log(SLIP_STEP) / SLIP_SPREAD) ** 2
-        return tried, _log_likelihood(events, walk(events, tried)) - 0.5 * float(usual)
+        told = wheels.log_likelihood(slip) if wheels is not None else 0.0
+        return tried, likely(tried) + told - 0.5 * float(usual)
 
-    best, likelihood = at(0)
+    best = _climb(at, SLIP_STEPS)
+    return best, (
+        f"Slip learnt from this run: {best.slip:.2g} m after one metre (assumed at first: {numbers.slip:.2g}).",
+    )
+
+
+def _bias_walk(numbers: Assumptions, likely: Likely, bias: Evidence) -> tuple[Assumptions, tuple[str, ...]]:
+    """Climb from the assumed walk of the gyro's bias in the same way; by the gyro at rest as well."""
+
+    def at(k: int) -> tuple[Assumptions, float]:
+        tried = dataclasses.replace(numbers, bias_walk=numbers.bias_walk * WALK_STEP**k)
+        usual = (k * np.log(WALK_STEP) / WALK_SPREAD) ** 2
+        return tried, likely(tried) + bias(tried.bias_walk) - 0.5 * float(usual)
+
+    best = _climb(at, WALK_STEPS)
+    if best.bias_walk == numbers.bias_walk:
+        return best, ()
+    return best, (f"Walk of the gyro's bias learnt from this run: {best.bias_walk:.2g} rad/s/√s.",)
+
+
+def _climb(at: Callable[[int], tuple[Assumptions, float]], steps: int) -> Assumptions:
+    """The likeliest level, from 0 up as long as it becomes likelier, else down."""
+    begun, likelihood = at(0)
+    best = begun
     for way in (1, -1):
-        for k in range(1, SLIP_STEPS + 1):
+        for k in range(1, steps + 1):
             tried, value = at(way * k)
             if not value > likelihood:
                 break
             best, likelihood = tried, value
-        if best.slip > TYPICAL_SLIP:
+        if best is not begun:
             break
-    return best, (
-        f"Slip learnt from this run: {best.slip:.2g} m after one metre (assumed at first: {numbers.slip:.2g}).",
-    )
+    return best
 
 
 def _log_likelihood(events: Events, walked: Walk) -> float:
