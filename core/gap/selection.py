@@ -45,6 +45,15 @@ class Step:
 
 
 @dataclass(frozen=True)
+class Screen:
+    """The last screening: information about the model's own parameters (the first `own`) and the candidates'."""
+
+    information: Array
+    own: int
+    tried: tuple[Candidate, ...]
+
+
+@dataclass(frozen=True)
 class Found:
     """The model of one link: its fit, the problem with the floor it left, the search's steps, the rivals' screening.
 
@@ -60,6 +69,7 @@ class Found:
     earned: dict[str, float] = field(default_factory=dict)
     unknown: tuple[Shape, float] | None = None
     tolerated: dict[str, float] = field(default_factory=dict)
+    screen: Screen | None = None
 
 
 def gains_of(normal: Normal, own: int, tried: Sequence[Candidate]) -> Array:
@@ -104,6 +114,7 @@ def search(problem: Problem, tried: Sequence[Candidate], scope: str, start: Effe
     gains: dict[str, float] = {}
     tolerated: dict[str, float] = {}
     unknown: tuple[Shape, float] | None = None
+    screen: Screen | None = None
     for _ in range(MOST):
         fresh = [one for one in tried if one.effect not in fit.model]
         if unknown is not None:
@@ -112,6 +123,7 @@ def search(problem: Problem, tried: Sequence[Candidate], scope: str, start: Effe
             fresh += placed(problem, fit.model)
         normal = linearise(problem, fit.model, fresh, scope)
         own = len(parameters_of(fit.model))
+        screen = Screen(normal.total[2], own, tuple(fresh))
         tolerated = tolerated or _tolerated(normal, fresh)
         gain = gains_of(normal, own, fresh)
         gains = _best_of(fresh, gain)
@@ -140,7 +152,7 @@ def search(problem: Problem, tried: Sequence[Candidate], scope: str, start: Effe
         fit = refit(problem, best.model, scope)
     if "slip_patch" in fit.model and _loss(fit, "slip_patch") > POLISHED * fit.normal.n.sum():
         fit = _polished(problem, fit, scope, (0.04, 0.02, 0.01, 0.005, 0.002))
-    return Found(fit, problem, tuple(steps), gains, _earned(problem, fit, scope), unknown, tolerated)
+    return Found(fit, problem, tuple(steps), gains, _earned(problem, fit, scope), unknown, tolerated, screen)
 
 
 def _earned(problem: Problem, fit: Fit, scope: str) -> dict[str, float]:
