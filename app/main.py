@@ -13,9 +13,10 @@ from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddle
 from starlette.responses import Response
 from starlette.staticfiles import StaticFiles
 
-from app import errors, examples, housekeeping, jobs, login, openapi, paths
+from app import errors, examples, housekeeping, jobs, login, openapi, paths, virtual_robot
 from app.api import calibrations, consistency, estimates, files, imu, mappings, runs, sandbox, streams, uploads
 from app.api import jobs as job_api
+from app.api import virtual as virtual_api
 from app.db.migrate import migrate
 from app.db.session import make_engine
 from app.pages import PAGES
@@ -38,6 +39,7 @@ API_ROUTERS: tuple[APIRouter, ...] = (  # under /api/v1
     calibrations.router,
     sandbox.router,
     job_api.router,
+    virtual_api.router,
 )
 PAGE_ROUTERS: tuple[APIRouter, ...] = (login.router, proxy.router, *PAGES.values())  # at the root
 # What runs beside the server, entered in this order at its start and left in the reverse order at its end.
@@ -47,6 +49,7 @@ SERVICES: tuple[Callable[[FastAPI], AbstractAsyncContextManager[None]], ...] = (
     examples.service,
     source.service,
     sandbox_cache.service,
+    virtual_robot.service,
 )
 
 NOT_COMPRESSED = (*DEFAULT_EXCLUDED_CONTENT_TYPES, "application/vnd.apache.arrow.stream", "application/octet-stream")

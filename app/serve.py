@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import errno
 import fcntl
@@ -53,9 +54,20 @@ class Server(uvicorn.Server):
             if self._greet:
                 print(f"Driftscope is at {address(self._settings, sockets)}", flush=True)  # noqa: T201
             self.app.state.jobs.prepare()
+            self._offer_robot(sockets)
+
+    def _offer_robot(self, sockets: list[socket.socket] | None) -> None:
+        """Tell the virtual robot where to find us; with `--demo` it comes at once."""
+        robot = self.app.state.virtual_robot
+        here = address(self._settings, sockets)
+        robot.address = here.replace("//0.0.0.0:", "//127.0.0.1:").replace("//[::]:", "//[::1]:")
+        if self._settings.demo:
+            robot.start()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Stop within GRACE_S."""
+        if hasattr(self.app.state, "virtual_robot"):
+            await asyncio.to_thread(self.app.state.virtual_robot.stop)  # while it can still say that its run is over
         if hasattr(self.app.state, "jobs"):
             self.app.state.jobs.events.close()
         await super().shutdown(sockets)

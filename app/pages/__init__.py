@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from fastapi import APIRouter
 
-from app.pages import about, calibration, calibrations, compare, guide, jobs, run, runs, sandbox
+from app.pages import about, calibration, calibrations, compare, guide, jobs, live, monitor, run, runs, sandbox
 
 PAGES: dict[str, APIRouter] = {
     "runs": runs.router,
     "run": run.router,
+    "live": live.router,
+    "monitor": monitor.router,
     "compare": compare.router,
     "sandbox": sandbox.router,
     "calibrations": calibrations.router,

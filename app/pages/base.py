@@ -35,6 +35,7 @@ class Place:
 
 RAIL = (
     Place("runs", "Runs", "/runs"),
+    Place("live", "Live", "/live"),
     Place("compare", "Compare", "/compare"),
     Place("sandbox", "Sandbox", "/sandbox"),
     Place("calibrations", "Calibrate", "/calibrations"),

@@ -58,8 +58,13 @@ def layout(data: SceneData) -> Layout:
     clouds.append(np.array([p[:2] for p in data.beacons.values()], dtype=np.float64).reshape(-1, 2))
     heights = [p[2] for p in data.beacons.values()]
     extent = shapes.extent_of(clouds, max(heights, default=0.0))
+    return Layout(extent, robot_scale(extent, data))
+
+
+def robot_scale(extent: shapes.Extent, data: SceneData) -> float:
+    """How much larger than life robots are drawn."""
     length = 1.25 * (data.robot.track_width or DEFAULT_TRACK_WIDTH)
-    return Layout(extent, max(1.0, extent.size / 20 / length))
+    return max(1.0, extent.size / 20 / length)
 
 
 def _sample(path: ScenePath) -> shapes.Floats:
@@ -70,14 +75,8 @@ def _sample(path: ScenePath) -> shapes.Floats:
 def add_run(server: viser.ViserServer, data: SceneData, theme: str | None = None) -> Layout:
     """All that viewers share. `theme` shows one set of colours outright (export); None leaves it to each viewer."""
     sizes, scene = layout(data), server.scene
-    scene.set_up_direction("+z")
-    _set_camera(server, sizes)
     with server.atomic():
-        for name in THEMES:
-            scene.add_frame(f"/world/ground/{name}", show_axes=False, visible=name == theme)
-            add_ground(scene, f"/world/ground/{name}", sizes, name)
-        for name, position in list(data.beacons.items())[:MAX_BEACONS]:
-            add_beacon(scene, f"/world/beacons/{slug(name)}", name, position, sizes)
+        add_stage(server, data, sizes, theme)
         shown = data.events[:MAX_EVENTS]
         names = event_labels(shown, sizes.extent.size * CROWD)
         for i, event in enumerate(shown):
@@ -87,6 +86,18 @@ def add_run(server: viser.ViserServer, data: SceneData, theme: str | None = None
         for layer, path in enumerate(data.paths):
             add_method(scene, f"/world/methods/{slug(path.method)}", path, sizes, layer, theme)
     return sizes
+
+
+def add_stage(server: viser.ViserServer, data: SceneData, sizes: Layout, theme: str | None = None) -> None:
+    """What does not move: camera, ground, beacons."""
+    scene = server.scene
+    scene.set_up_direction("+z")
+    _set_camera(server, sizes)
+    for name in THEMES:
+        scene.add_frame(f"/world/ground/{name}", show_axes=False, visible=name == theme)
+        add_ground(scene, f"/world/ground/{name}", sizes, name)
+    for name, position in list(data.beacons.items())[:MAX_BEACONS]:
+        add_beacon(scene, f"/world/beacons/{slug(name)}", name, position, sizes)
 
 
 def _set_camera(server: viser.ViserServer, sizes: Layout) -> None:

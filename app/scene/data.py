@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -98,6 +99,11 @@ class SceneData:
     robot: RobotParams = field(default_factory=RobotParams)
     revision: str = ""
     events: tuple[SceneEvent, ...] = ()
+    live: bool = False  # it still grows: whoever looks sees its newest moment
+
+    def grown(self, t1: float, paths: tuple[ScenePath, ...]) -> SceneData:
+        """The run a moment later."""
+        return dataclasses.replace(self, t1=max(t1, self.t1), paths=paths)
 
     @property
     def methods(self) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ from app.scene.data import SceneData
 from core.errors import DriftscopeError
 
 if TYPE_CHECKING:
+    from app.scene.live import Feed
     from app.scene.servers import Scene
 
 log = logging.getLogger("driftscope")
@@ -30,19 +31,21 @@ class BusyError(DriftscopeError):
 class Scenes:
     """The open scenes, at most `limit`, least recently used first to go; made and stopped thread-safely.
 
-    `load` gives a run's data (or raises NotFoundError); `revision` tells cheaply whether it would differ by now.
+    `load` gives a run's data (or raises NotFoundError); `revision` tells cheaply whether it would differ by now;
+    `live` gives the feed of a run that is still going on, whose scene grows with it.
     """
 
     def __init__(
         self,
         load: Callable[[str], SceneData],
         revision: Callable[[str], str],
+        live: Callable[[str], Feed | None] = lambda run_id: None,
         *,
         limit: int = 24,
         idle_seconds: float = 180.0,
         grace_seconds: float = 10.0,
     ) -> None:
-        self._load, self._revision, self._limit = load, revision, limit
+        self._load, self._revision, self._live, self._limit = load, revision, live, limit
         self._idle, self._grace = idle_seconds, grace_seconds  # grace: a browser on its way to a new scene
         self._lock = threading.Lock()
         self._making: dict[str, threading.Lock] = {}
@@ -75,7 +78,7 @@ class Scenes:
                     scene.touched = time.monotonic()
                     return scene
                 self._make_room()
-            scene = self._made(run_id)
+            scene = self._made(run_id, revision)
             with self._lock:
                 if run_id in self._open:
                     self._retired.append(self._open.pop(run_id))
@@ -84,10 +87,12 @@ class Scenes:
                 self._watch()
         return scene
 
-    def _made(self, run_id: str) -> Scene:
-        from app.scene.servers import Scene  # viser takes a third of a second to import: not at the start
+    def _made(self, run_id: str, revision: str) -> Scene:
+        from app.scene.live import LiveScene  # viser takes a third of a second to import: not at the start
+        from app.scene.servers import Scene
 
-        return Scene(self._load(run_id))
+        feed = self._live(run_id)
+        return LiveScene(feed, revision) if feed else Scene(self._load(run_id))
 
     def close_idle(self, idle: float | None = None) -> int:
         """Stop scenes that nobody has looked at for `idle` seconds; how many."""

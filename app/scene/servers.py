@@ -52,7 +52,10 @@ class Scene:
         self._server._websock_server.on_client_disconnect(self._gone)
         self._server.on_client_connect(self._connected)
         self._server.on_client_disconnect(self._disconnected)
-        self.sizes = build.add_run(self._server, data)
+        self.sizes = self._build()
+
+    def _build(self) -> build.Layout:
+        return build.add_run(self._server, self.data)
 
     @property
     def address(self) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import AsyncIterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 from fastapi import FastAPI
@@ -17,12 +18,24 @@ from app.scene.style import primary
 from app.settings import Settings
 from app.store import events, results, runs
 
+if TYPE_CHECKING:
+    from app.scene.live import Feed
+
 
 @contextlib.asynccontextmanager
 async def service(app: FastAPI) -> AsyncIterator[None]:
     """The application's scenes, none open at the start."""
     engine, settings = app.state.engine, app.state.settings
-    app.state.scenes = Scenes(lambda run: load(engine, settings, run), lambda run: revision(engine, run))
+
+    def feed(run_id: str) -> Feed | None:
+        hub = getattr(app.state, "live", None)
+        return hub.feed(run_id) if hub else None
+
+    app.state.scenes = Scenes(
+        lambda run: load(engine, settings, run),
+        lambda run: "live" if feed(run) else revision(engine, run),
+        feed,
+    )
     try:
         yield
     finally:

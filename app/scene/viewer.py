@@ -49,17 +49,43 @@ class Client:
         self._leader: str | None = None
         self._puck: viser.CylinderHandle | None = None
         self._anchor: tuple[float, float] | None = None  # where the followed robot was when following began
+        self._camera = shapes.camera(sizes.extent)[0]  # where we have put it
         scene = handle.scene
         self._world = scene.add_frame("/world", show_axes=False)
         for variant in THEMES:
             self._variants[variant].append(scene.add_frame(f"/world/ground/{variant}", show_axes=False, visible=False))
         for path in data.paths:
-            name = f"/world/methods/{slug(path.method)}"
-            self._shown[path.method] = scene.add_frame(name, show_axes=False)
-            for variant in THEMES:
-                self._variants[variant].append(scene.add_frame(f"{name}/{variant}", show_axes=False, visible=False))
+            self._switch(path.method)
         if len(data.fixes):
             self._shown[FIXES] = scene.add_frame("/world/fixes", show_axes=False)
+
+    def _switch(self, method: str) -> None:
+        """This viewer's own switches of a method and its themes, over the shared nodes."""
+        name, scene = f"/world/methods/{slug(method)}", self.handle.scene
+        self._shown[method] = scene.add_frame(name, show_axes=False)
+        for variant in THEMES:
+            self._variants[variant].append(scene.add_frame(f"{name}/{variant}", show_axes=False, visible=False))
+
+    def grow(self, data: SceneData, sizes: build.Layout, cursor: Cursor) -> None:
+        """The run has gone on: new methods appear, robots and camera suit the floor where it has become larger."""
+        new = [p.method for p in data.paths if p.method not in self._shown]
+        spread = {p.method for p in data.paths if p.spread is not None}
+        for method in new:
+            self._switch(method)
+        self._data = data
+        if new or sizes is not self._sizes or not spread <= set(self._discs):
+            if sizes is not self._sizes and not cursor.follow:
+                self._step_back(sizes)
+            self._sizes, self._theme = sizes, ""  # everything is dressed anew
+            self.dress(cursor)
+        self.move(data.t1, cursor)
+
+    def _step_back(self, sizes: build.Layout) -> None:
+        """All of the floor in sight, unless the user has moved the camera."""
+        away = np.asarray(self.handle.camera.position) - np.asarray(self._camera)
+        if float(np.linalg.norm(away)) < 0.02 * self._sizes.extent.size:
+            self._camera, self.handle.camera.look_at = shapes.camera(sizes.extent)
+            self.handle.camera.position = self._camera
 
     def dress(self, cursor: Cursor) -> None:
         """Theme and methods as the cursor has them."""
@@ -228,8 +254,17 @@ class Viewer:
         if not self._listeners and not self._with_panel:
             self.change({"playing": False})
 
+    def grow(self, data: SceneData, sizes: build.Layout) -> None:
+        """The run has gone on."""
+        self._data, self._sizes = data, sizes
+        for client in self._clients.values():
+            with client.handle.atomic():
+                client.grow(data, sizes, self.cursor)
+
     def change(self, change: dict[str, Any], source: Listener | None = None, by: str = "page") -> None:
         """Move the cursor; `change` has been checked. Everybody but the `source` hears of it."""
+        if self._data.live:
+            change = {k: v for k, v in change.items() if k not in ("t", "playing")}
         before = self.cursor
         self.cursor = before.moved(change, time.monotonic(), self._data.t0, self._data.t1)
         if "playing" in change and self.cursor.playing and self.time() >= self._data.t1:
@@ -253,7 +288,9 @@ class Viewer:
         self.change(change, by="panel")
 
     def time(self) -> float:
-        """The run's time at this moment [s]."""
+        """The run's time at this moment [s]; of a live run the newest."""
+        if self._data.live:
+            return self._data.t1
         return self.cursor.now(time.monotonic(), self._data.t0, self._data.t1)
 
     def state(self, by: str = "") -> dict[str, Any]:
@@ -270,6 +307,7 @@ class Viewer:
             "follow": self.cursor.follow,
             "methods": methods,
             "theme": self.cursor.theme,
+            "live": self._data.live,
             "leader": primary([m for m in methods if m != FIXES]),
             "robot_scale": round(self._sizes.robot_scale, 2),
             "poses": {p.method: _plain(p.pose_at(t)) for p in self._data.paths if self.cursor.shows(p.method)},

@@ -25,6 +25,11 @@ export function createView() {
       view.y = y + (py - view.height / 2) / view.scale;
     },
 
+    // Whether a box is wholly seen, a little clear of the edge.
+    holds({ x0, x1, y0, y1 }, margin = 14) {
+      return view.toX(x0) >= margin && view.toX(x1) <= view.width - margin && view.toY(y1) >= margin && view.toY(y0) <= view.height - margin;
+    },
+
     fit({ x0, x1, y0, y1 }, margin = 36) {
       const room = (span, size) => (size - 2 * margin) / Math.max(span, 1e-3);
       view.scale = Math.max(Math.min(room(x1 - x0, view.width), room(y1 - y0, view.height), 2000), 1e-3);
@@ -61,9 +66,19 @@ export function bounds(paths, points) {
   return box.x0 <= box.x1 ? box : { x0: -1, x1: 1, y0: -1, y1: 1 };
 }
 
-// Pose of a path at a time, linear between its points; null outside.
-export function poseAt(path, time) {
+const ROOM = 4; // m: a robot that has just started still stands on a floor
+
+// The box with a quarter of its size around it, for what is going to grow.
+export function roomier({ x0, x1, y0, y1 }) {
+  const more = (lo, hi) => Math.max(0.25 * (hi - lo), (ROOM - (hi - lo)) / 2);
+  const [dx, dy] = [more(x0, x1), more(y0, y1)];
+  return { x0: x0 - dx, x1: x1 + dx, y0: y0 - dy, y1: y1 + dy };
+}
+
+// Pose of a path at a time, linear between its points; null outside. A path that grows holds its last one.
+export function poseAt(path, at) {
   const { t } = path;
+  const time = path.hold ? Math.min(at, t[t.length - 1]) : at;
   if (!t.length || time < t[0] || time > t[t.length - 1]) return null;
   let lo = 0;
   let hi = t.length - 1;

@@ -4,6 +4,8 @@
 //   map.setPaths([{ method, label, color, dash, width, dots, t, x, y, theta, sd_x, sd_y, sd_theta, cov_xy }], beacons);
 //   map.setVisible(method, on); map.setEvents(method, [dressedEvent]); map.setLead(method); map.fit();
 //   map.setView([x, y, scale]); map.onView = (view) => {}; map.say(text);
+//   layers: { base(ctx, view), top(ctx, view) } draw more: above the paths, and above the robots.
+//   A path that grows has `hold: true` (its robot stays at its end); map.grown() draws what was added to it.
 //
 // Mouse: wheel zooms, drag pans, click sets the time, double-click fits. Touch: drag pans, two fingers zoom.
 // Keyboard, when focused: arrows pan, + - zoom, Home fits.
@@ -17,7 +19,7 @@ import { length, angle } from "./format.js";
 import { gestures } from "./gestures.js";
 import * as draw from "./map-draw.js";
 import { mapSvg } from "./map-svg.js";
-import { bounds, createView, inDrawOrder, nearest, poseAt } from "./map-view.js";
+import { bounds, createView, inDrawOrder, nearest, poseAt, roomier } from "./map-view.js";
 import { colour, onThemeChange } from "./palette.js";
 
 const TOOLS = [
@@ -27,7 +29,7 @@ const TOOLS = [
   ["link", "Copy link", "Link to exactly this view"],
 ];
 
-export function createMap(host, { clock, subject = "", fileName = "path" }) {
+export function createMap(host, { clock, subject = "", fileName = "path", layers = {} }) {
   const base = h("canvas", { class: "map-canvas" });
   const top = h("canvas", { class: "map-canvas map-top", tabindex: "0", role: "img", "aria-label": "Map of the paths" });
   const tip = h("div", { class: "map-tip", hidden: true });
@@ -66,6 +68,12 @@ export function createMap(host, { clock, subject = "", fileName = "path" }) {
     },
     setVisible(method, on) {
       visible.set(method, on);
+      redraw(2);
+    },
+    // The view widens in steps, not with every pose.
+    grown() {
+      const box = fitted && bounds(map.shown.length ? map.shown : paths, beacons);
+      if (box && !view.holds(box)) view.fit(roomier(box));
       redraw(2);
     },
     setEvents(method, list) {
@@ -134,6 +142,7 @@ export function createMap(host, { clock, subject = "", fileName = "path" }) {
     const claim = claiming();
     if (claim) for (const pose of draw.ellipsesAlong(view, claim, clock.range)) draw.drawEllipse(ctx, view, claim, pose, draw.SIGMAS_95, 0.08);
     for (const path of inDrawOrder(shown.filter((p) => !p.dots))) draw.drawPath(ctx, view, path, clock.range);
+    layers.base?.(ctx, view);
     for (const path of shown) draw.drawEnds(ctx, view, path);
     draw.drawBeacons(ctx, view, beacons);
     const carrier = shown.find((p) => p.method === events.method) ?? shown.find((p) => !p.dots);
@@ -160,6 +169,7 @@ export function createMap(host, { clock, subject = "", fileName = "path" }) {
         draw.drawRobot(ctx, view, path, pose, ghost);
       }
     }
+    layers.top?.(ctx, view);
     if (under) ring(ctx, under.path, under.index);
   }
 

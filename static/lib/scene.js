@@ -2,6 +2,7 @@
 //
 //   const scene = mountScene(container, runId, clock, { methods: ["fused", "encoders"] });
 //   scene.setMethods([...]) | scene.reload() | scene.address | scene.state | scene.dispose()
+//   live: true shows the newest moment of a run that still goes on, and leaves all keys to the page (they drive).
 //
 // Events on `container`: "scene-ready" when the picture is there, "scene-problem" (detail: the problem) when it can't be;
 // `data-scene` on it says the same: opening, ready, problem.
@@ -16,7 +17,7 @@ const DRIFT = 0.12; // s of wall time between page and scene before a word is se
 const RETRY = [500, 1000, 2000, 5000, 10000]; // ms
 const SCENE_KEYS = new Set(["w", "a", "s", "d", "q", "e", "ArrowUp", "ArrowDown", "ArrowLeft", "ArrowRight", "Tab"]);
 
-export function mountScene(container, runId, clock, { methods = null, query = "" } = {}) {
+export function mountScene(container, runId, clock, { methods = null, query = "", live = false } = {}) {
   const viewer = newKey();
   const address = `/scene/${encodeURIComponent(runId)}/${viewer}/`;
   const note = document.createElement("p");
@@ -111,7 +112,7 @@ export function mountScene(container, runId, clock, { methods = null, query = ""
   }
 
   function moved(what) {
-    if (what === "time") onTime();
+    if (what === "time") live || onTime();
     else if (what === "play" || what === "speed" || what === "follow") sendCursor();
   }
 
@@ -129,7 +130,7 @@ export function mountScene(container, runId, clock, { methods = null, query = ""
     clearTimeout(timer);
     timer = 0;
     anchor = { t: clock.time, at: performance.now(), rate: clock.playing ? clock.speed : 0 };
-    send({ t: clock.time, playing: clock.playing, speed: clock.speed, follow: clock.follow });
+    send(live ? { follow: clock.follow } : { t: clock.time, playing: clock.playing, speed: clock.speed, follow: clock.follow });
   }
 
   function sendAll() {
@@ -156,12 +157,14 @@ export function mountScene(container, runId, clock, { methods = null, query = ""
 
   // The page's keys work while the 3D view has the focus; those that move viser's camera stay there.
   function passKeys() {
-    frame.contentWindow.addEventListener("keydown", (event) => {
-      const { key, ctrlKey, metaKey, altKey, shiftKey } = event;
-      if (SCENE_KEYS.has(key) || ctrlKey || metaKey || altKey || isField(event.target)) return;
-      document.dispatchEvent(new KeyboardEvent("keydown", { key, code: event.code, shiftKey, bubbles: true }));
-      if (key === " ") event.preventDefault();
-    });
+    const pass = (event) => {
+      const { type, key, code, ctrlKey, metaKey, altKey, shiftKey, repeat } = event;
+      if ((SCENE_KEYS.has(key) && !live) || ctrlKey || metaKey || altKey || isField(event.target)) return;
+      document.body.dispatchEvent(new KeyboardEvent(type, { key, code, shiftKey, repeat, bubbles: true }));
+      if (live) event.stopPropagation();
+      if (live || key === " ") event.preventDefault();
+    };
+    for (const type of ["keydown", "keyup"]) frame.contentWindow.addEventListener(type, pass, { capture: live });
   }
 
   function dispose() {

@@ -1,9 +1,11 @@
 // What each number means: [label, one sentence, formula where there is one, where the guide explains it].
 
 import { IMU_TERMS } from "./terms-imu.js";
+import { LIVE_TERMS } from "./terms-live.js";
 
 export const TERMS = {
   ...IMU_TERMS,
+  ...LIVE_TERMS,
   name: ["Name", "What the recording is called. Change it on the run's page."],
   robot: ["Robot", "The robot that drove. Click one at the left to see only its runs."],
   when: ["When", "When the run was stored here."],

@@ -1,0 +1,27 @@
+// What the monitor of a live robot shows, as in terms.js.
+
+export const LIVE_TERMS = {
+  live_state: ["State", "Live: rows come in. Silent: connected lately, but nothing for a moment. Ended: the run is over and stored.", null, "monitor"],
+  live_driver: ["Driver", "Whose stick the robot obeys. One at a time; STOP is everybody's.", null, "monitor#driving"],
+  live_rate: ["Rate", "Rows per second of each stream as they arrive, over the last seconds.", null, "monitor#the-connection"],
+  live_latency: ["Latency", "From the moment the robot sent a batch to the moment the server had its estimate; the two clocks' offset is taken out. Median, and the 99th percentile.", null, "monitor#the-connection"],
+  live_loss: ["Loss", "Share of batches that had to be sent again, or rows that were dropped because they came too late.", null, "monitor#the-connection"],
+  live_clock: ["Clock", "The robot's clock minus the server's.", null, "monitor#the-connection"],
+  live_stick: ["Stick", "Up is forward, left turns left. Arrow keys and WASD do the same; letting go stops.", null, "monitor#driving"],
+  live_command: ["Commanded", "What this page asks of the robot: speed and turn rate.", "v, ω", "monitor#driving"],
+  live_limit_v: ["Speed limit", "What full stick means. The robot's own limit is the end of the slider."],
+  live_limit_w: ["Turn limit", "What full stick to the side means. The robot's own limit is the end of the slider."],
+  live_position: ["Position", "Where the method says the robot is, in the map, ± one standard deviation that it claims itself.", null, "monitor#positions"],
+  live_heading: ["Heading", "Counter-clockwise from the map's x axis, ± one standard deviation.", null, "monitor#positions"],
+  live_apart: ["From fused", "Distance between the position by this method and the one from all sensors.", "‖p − p_fused‖", "monitor#positions"],
+  live_gyro: ["Gyro", "Turn rate about the vertical as the gyro reads it, bias and noise in it.", null, "monitor#signals"],
+  live_accelerometer: ["Accelerometer", "Specific force along the robot's axes: forward and to the left.", null, "monitor#signals"],
+  live_speed: ["Speed", "What was commanded, and how fast the fused path moves along its heading.", null, "monitor#signals"],
+  live_bias: ["Gyro bias", "What the gyro reads at rest, as the fused filter knows it now, with one and two standard deviations.", null, "numbers#gyro-bias"],
+  live_link: ["Links", "Each link of the chain predicts the next one; the bar is what is left over, in units of what noise alone leaves. At the mark: noise. Beyond the dots: more than chance.", "rms(r / σ)", "monitor#links"],
+  live_link_wheels: ["Commands → wheels", "Wheel speeds against what was commanded: motors, limits, delay.", "rms(r / σ)", "monitor#links"],
+  live_link_gyro: ["Wheels → gyro", "Turn rate by gyro, bias taken out, against that by the wheels: slip, track width, blows.", "rms(r / σ)", "monitor#links"],
+  live_link_accelerometer: ["Wheels → accelerometer", "Forward acceleration against that of the wheels: slip, slope, tilt.", "rms(r / σ)", "monitor#links"],
+  live_link_beacon: ["Body → beacon", "Beacon fixes against where the robot is held to be: interference, kidnapping.", "rms(r / σ)", "monitor#links"],
+  live_link_ranges: ["Body → ranges", "Ranges to beacons against the distances from where the robot is held to be.", "rms(r / σ)", "monitor#links"],
+};
