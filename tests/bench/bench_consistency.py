@@ -37,12 +37,12 @@ SETUPS = (Rates(ranges=0.0), Rates(ranges=0.0), Rates(beacon=0.0, ranges=20.0))
 HEADLESS = (False, True, False)  # fixes without heading in the second
 GRID = np.linspace(0.05, 1.0, 100)
 REFERENCE_SD = {"optiodom": (0.002, 0.002, 0.005), "husky": (0.02, 0.02, 0.01), "plaza": (0.05, 0.05, 0.02)}  # m, rad
-REFERENCE_CLOCK = {"husky": 0.045}  # s: spread of the lags of its lidar's headings against the gyro, step by step
+REFERENCE_CLOCK = {"husky": 0.055}  # s: its lidar's headings against the gyro, step by step (1.48 of the median lag)
 
 
 def flaws(seed: int) -> EffectSet:
     """Ordinary ones: tyres 0.3 %, track 0.8 %, gyro 4 mrad/s and 0.5 %, accelerometers 0.04 m/s^2, IMU turned by
-    10 mrad, a gyro that warms up by 2 mrad/s, a beacon system 20 ms late and 0.1 m off, one fix in a hundred 0.4 m off."""
+    10 mrad, a gyro warming up by 2 mrad/s, a beacon system 20 ms late and 0.1 m off, a fix in a hundred 0.4 m off."""
     n = np.random.default_rng((7, seed)).standard_normal(11)
     return {
         "wheel_radius": {"scale": 1 + 0.003 * n[0]},

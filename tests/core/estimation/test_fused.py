@@ -16,7 +16,7 @@ from core.sensors import BeaconLog, ImuLog
 from .world import BEACONS, Flaws, Sensors, World, simulate
 
 SEEDS, SLOW_SEEDS = 50, 16  # the start from ranges alone is a large search
-SURE = {"slip": 0.01, "start_xy": 1e-4, "start_theta": 1e-4}  # what the worlds do
+SURE = {"slip": Assumptions().slip, "bias_walk": Assumptions().bias_walk, "start_xy": 1e-4, "start_theta": 1e-4}  # what the worlds do
 
 
 def drawn_flaws(seed: int) -> Flaws:
@@ -51,7 +51,7 @@ def test_errors_are_as_large_as_claimed(case: str) -> None:
     last, inside = [], []
     for seed in range(seeds):
         world = simulate(seed, flaws=drawn_flaws(seed), sensors=sensors, start_known=known)
-        found = nees(estimate(world.run, "fused", SURE if known else {"slip": 0.01}).trajectory, world.run.truth)
+        found = nees(estimate(world.run, "fused", SURE).trajectory, world.run.truth)
         assert found is not None
         last.append(found.nees[-1])
         inside.append(found.inside)
