@@ -31,10 +31,11 @@ def add_commands(commands: Any, run_help: str) -> None:
 
 
 def _calibrate(options: argparse.Namespace) -> int:
-    from app.cli import OK, _progress, run_of, write_json
+    from app.cli import OK, _progress, write_json
+    from app.cli_imu import imu_run_of
     from core.calibration.imu import calibrate
 
-    runs = [run_of(source, options.data) for source in options.sources]
+    runs = [imu_run_of(source, options.data) for source in options.sources]
     report = calibrate(runs, _progress("calibrate"))
     _tell([str(item) for item in report.left_out], "left out: ")
     _tell(report.notes, "note: ")
@@ -68,7 +69,8 @@ def _known(value: float, sd: float = math.nan, digits: int = 4) -> str:
 
 
 def _correct(options: argparse.Namespace) -> int:
-    from app.cli import OK, run_of, write_json
+    from app.cli import OK, write_json
+    from app.cli_imu import imu_run_of
     from core.calibration.imu import correct, correction_notes
     from core.errors import ParameterError
     from core.formats import write_run
@@ -76,7 +78,7 @@ def _correct(options: argparse.Namespace) -> int:
     calibration = read_calibration(options.calibration)
     if options.out.exists() and (not options.out.is_dir() or any(options.out.iterdir())):
         raise ParameterError(f"{options.out} is there already; name a new folder", parameter="out")
-    run = run_of(options.source, options.data)
+    run = imu_run_of(options.source, options.data)
     made = correct(run, calibration, online=not options.offline)
     _tell(correction_notes(run, calibration), "note: ")
     write_run(made, options.out, "folder-csv")

@@ -35,13 +35,31 @@ def add_commands(commands: Any, run_help: str) -> None:
     allan.set_defaults(run=_allan)
 
 
+def imu_run_of(source: str, data: Path | None) -> Run:
+    """The run that RUN names. IMU stamps that go back in time, which no stored run has, are told and left out."""
+    from dataclasses import replace
+
+    from app.cli import run_of
+    from core.formats import Limits, read_run
+    from core.imu.stamps import in_order
+
+    if not Path(source).exists():
+        return run_of(source, data)
+    run = read_run(Path(source), limits=Limits(unordered=frozenset({"imu"})))
+    if run.imu is None:
+        return run
+    imu, notes = in_order(run.imu)
+    _tell(tuple(f"{source}: {note}" for note in notes))
+    return replace(run, imu=imu)
+
+
 def _bias(options: argparse.Namespace) -> int:
     import time
 
-    from app.cli import OK, run_of, write_json
+    from app.cli import OK, write_json
     from core.imu.bias import track_bias
 
-    run = run_of(options.source, options.data)
+    run = imu_run_of(options.source, options.data)
     began = time.perf_counter()
     made = track_bias(run, options.method)
     runtime = time.perf_counter() - began
@@ -79,7 +97,7 @@ def bias_json(run: Run, made: BiasEstimate, runtime: float) -> dict[str, Any]:
 
 
 def _allan(options: argparse.Namespace) -> int:
-    from app.cli import OK, run_of, write_json
+    from app.cli import OK, write_json
     from core.errors import MissingStreamError, NotEnoughDataError, ParameterError
     from core.imu.allan import allan
     from core.imu.noise import fit_noise
@@ -88,7 +106,7 @@ def _allan(options: argparse.Namespace) -> int:
     axis = options.axis.removeprefix("imu.")
     if axis not in AXES:
         raise ParameterError(f"there is no IMU axis {options.axis!r}; expected one of {', '.join(AXES)}", axis=axis)
-    run = run_of(options.source, options.data)
+    run = imu_run_of(options.source, options.data)
     values = None if run.imu is None else getattr(run.imu, axis)
     if run.imu is None or values is None:
         raise MissingStreamError(f"the run has no imu.{axis}", missing=f"imu.{axis}")

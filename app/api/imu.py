@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query, Response
+from pydantic import BaseModel
 from sqlalchemy.orm import Session
 
 from app.api import imu_schemas as wire
@@ -224,7 +225,7 @@ def get_imu_allan(
         raise NotFoundError(f"the analysis of {axis} has no curve {kind!r}", what="curve", id=kind)
     curve = figures.allan_curve(settings.data, row.arrays[kind])
     if form == "csv":
-        return Response(_csv(curve), media_type=CSV)
+        return _csv(curve)
     fitted = row.figures
     body = wire.Allan(
         axis=axis,
@@ -239,7 +240,7 @@ def get_imu_allan(
         notes=row.notes,
         provenance=wire.Provenance.model_validate(row),
     )
-    return Response(body.model_dump_json(), media_type="application/json")
+    return _json(body)
 
 
 @router.get(
@@ -268,8 +269,7 @@ def get_imu_statistics(
     values = figures.readings(settings.data, stream, axis, t0, t1, MOST)
     told = dataclasses.asdict(describe(values))
     if form == "csv":
-        rows = {"statistic": list(told), f"value [{unit_of(axis)}]": list(told.values())}
-        return Response(_csv(rows), media_type=CSV)
+        return _csv({"statistic": list(told), f"value [{unit_of(axis)}]": list(told.values())})
     histogram, probability, notes = _drawn(values, bins)
     body = wire.Statistics(
         axis=axis,
@@ -281,7 +281,7 @@ def get_imu_statistics(
         probability=probability,
         notes=notes,
     )
-    return Response(body.model_dump_json(), media_type="application/json")
+    return _json(body)
 
 
 def _drawn(
@@ -339,7 +339,11 @@ def _part(session: Session, run_id: str, part: str) -> ImuResult:
     return row
 
 
-def _csv(columns: Mapping[str, Iterable[Any]]) -> str:
+def _json(body: BaseModel) -> Response:
+    return Response(body.model_dump_json(), media_type="application/json")
+
+
+def _csv(columns: Mapping[str, Iterable[Any]]) -> Response:
     import polars as pl
 
-    return pl.DataFrame(dict(columns), strict=False).write_csv()
+    return Response(pl.DataFrame(dict(columns), strict=False).write_csv(), media_type=CSV)

@@ -10,6 +10,7 @@ import logging
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +53,7 @@ class Case:
         values = None if imu is None or not len(imu) else getattr(imu, axis)
         if values is None:
             raise MissingStreamError(f"the run has no imu.{axis}", missing=f"imu.{axis}")
-        return values  # type: ignore[no-any-return]
+        return np.asarray(values)
 
     def still(self) -> npt.NDArray[np.bool_] | None:
         """(n,) which readings are at rest, by `best`, else by the methods of segments; None where none of them ran."""
@@ -107,10 +108,10 @@ def parts(axes: Sequence[str], methods: Sequence[str] | None, warm: bool) -> Ite
     from core.imu.bias import METHODS
 
     for method in METHODS if methods is None else methods:
-        yield f"bias.{method}", f"bias by {method}", lambda case, method=method: bias(case, method)  # type: ignore[misc]
+        yield f"bias.{method}", f"bias by {method}", partial(bias, method=method)
     for axis in axes:
-        yield f"segments.{axis}", f"segments of {axis}", lambda case, axis=axis: segments(case, axis)  # type: ignore[misc]
-        yield f"allan.{axis}", f"Allan deviation of {axis}", lambda case, axis=axis: allan(case, axis)  # type: ignore[misc]
+        yield f"segments.{axis}", f"segments of {axis}", partial(segments, axis=axis)
+        yield f"allan.{axis}", f"Allan deviation of {axis}", partial(allan, axis=axis)
     if warm:
         yield "temperature", "bias against temperature", temperature
 

@@ -46,6 +46,7 @@ class Limits:
     max_json_bytes: int = 4 * MIB
     max_json_depth: int = 32
     max_names: int = 4096  # different beacon names in one stream
+    unordered: frozenset[str] = frozenset()  # streams whose stamps may go back: who reads them mends that
 
 
 class Table(Protocol):

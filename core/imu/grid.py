@@ -7,12 +7,13 @@ catches up again.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from core.errors import NotEnoughDataError, ParameterError
+from core.imu.stamps import onward, told
 
 Floats = npt.NDArray[np.float64]
 
@@ -42,27 +43,27 @@ class Record:
 def to_grid(t: Floats, values: npt.NDArray[np.floating], *, window: float = 2.0) -> Record:
     """Lay readings `values` (n,) with stamps `t` (n,) [s] on the even grid that the sensor sampled on.
 
-    NaN readings are dropped (their places stay empty). `window` [s]: a stamp that is late for longer than this was
-    not late, samples before it are missing. Raises NotEnoughDataError under 9 readings, ParameterError for stamps
-    that do not increase.
+    NaN readings are dropped (their places stay empty), and those whose stamps go back or repeat, with a note.
+    `window` [s]: a stamp that is late for longer than this was not late, samples before it are missing. Raises
+    NotEnoughDataError under 9 readings.
     """
     if t.shape != values.shape or t.ndim != 1:
         raise ParameterError(f"t has shape {t.shape} and the readings {values.shape}; expected one shape (n,)")
-    finite = np.isfinite(values)
-    if not finite.all():
-        t, values = t[finite], values[finite]
+    kept = onward(t)
+    notes = told(t, kept)
+    kept &= np.isfinite(values)
+    if not kept.all():
+        t, values = t[kept], values[kept]
     n = t.shape[0]
     if n < 9:
         raise NotEnoughDataError(f"{n} readings are too few for an Allan deviation: at least 9", found=n, expected=9)
     step = np.diff(t)
-    if not (step > 0).all():
-        row = int(np.flatnonzero(~(step > 0))[0]) + 2
-        raise ParameterError(f"stamps must increase; reading {row} does not", row=row)
     mean = (t[-1] - t[0]) / (n - 1)
     if float(step.max()) < 1.5 * mean:  # even, or jittered by less than half a step: nothing can be missing
         jitter = float(np.std(t - (t[0] + mean * np.arange(n)))) if n < 2_000_000 else float(np.std(step)) / np.sqrt(2)
-        return Record(np.ascontiguousarray(values, np.float64), float(mean), None, jitter, 0)
-    return _with_gaps(t, np.ascontiguousarray(values, np.float64), step, window)
+        return Record(np.ascontiguousarray(values, np.float64), float(mean), None, jitter, 0, notes)
+    made = _with_gaps(t, np.ascontiguousarray(values, np.float64), step, window)
+    return replace(made, notes=notes + made.notes)
 
 
 def _with_gaps(t: Floats, values: Floats, step: Floats, window: float) -> Record:

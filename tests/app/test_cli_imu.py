@@ -91,3 +91,17 @@ def test_allan_asks_about_degrees(tmp_path: Path, capsys: pytest.CaptureFixture[
         write_run(run, tmp_path / name, "folder-csv")
         assert main(["allan", str(tmp_path / name)]) == 0
         assert ("deg/s" in capsys.readouterr().err) == (name == "degrees")
+
+
+@pytest.mark.parametrize(
+    "command", [["allan"], ["bias", "--method", "C", "--out", "{out}/x.csv"], ["calibrate", "--json", "{out}/c.json"]]
+)
+def test_a_clock_that_was_set_back_is_told_and_the_rest_is_used(
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    t = np.arange(3000) / 50
+    rate = 2e-4 * np.random.default_rng(1).standard_normal(3000)
+    run = tmp_path / "run"
+    write_run(Run(imu=ImuLog(np.where(t < 40, t, t - 4), rate)), run, "folder-csv")
+    assert main([command[0], str(run), *(a.format(out=tmp_path) for a in command[1:])]) == 0
+    assert "row 2001 says 36 s after 39.98 s; 200 of 3000 readings are left out" in capsys.readouterr().err

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from core.calibration.imu.algorithm1 import AXES
+from core.imu.stamps import in_order
 from core.robot import Segment
 from core.run import Run
 from core.sensors import ImuLog
@@ -101,12 +102,13 @@ def stretches(runs: Sequence[Run]) -> tuple[list[Stretch], list[LeftOut], list[s
         if run.imu is None or len(run.imu) < LEAST * FEWEST:
             notes.append(f"run {r + 1} has no IMU readings, or too few; it is left out")
             continue
-        segments, kind, note = _segments(run, run.imu)
-        notes += [f"run {r + 1}: {text}" for text in note]
-        values, text = _finite(readings(run.imu))
+        imu, told = in_order(run.imu)
+        segments, kind, note = _segments(run, imu)
+        notes += [f"run {r + 1}: {text}" for text in (*told, *note)]
+        values, text = _finite(readings(imu))
         notes += [f"run {r + 1}: {text}"] if text else []
         rows = np.isfinite(values[:, np.isfinite(values).any(axis=0)]).all(axis=1)
-        t, values = run.imu.t[rows], values[rows]
+        t, values = imu.t[rows], values[rows]
         total = sum(max(0.0, s.t1 - s.t0) for s in segments)
         for k, segment in enumerate(segments):
             made = _stretch(r, k, kind, segment, t, values, total)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from core.imu.bias.filtered import FilterConfig, best, smoothed
 from core.imu.bias.integral import curve_stamps
 from core.imu.bias.result import ACCEPTED, BiasEstimate, SegmentVerdicts
 from core.imu.bias.segment_methods import SegmentConfig, method_a, method_b, method_c
+from core.imu.stamps import onward, told
 from core.imu.units import degrees
 from core.run import Run
 from core.sensors import ImuLog
@@ -29,10 +31,10 @@ class BiasMethod:
     causal: bool
     source: str
     config: type[SegmentConfig] | type[FilterConfig]
-    run: Callable[[Run, ImuLog, object], BiasEstimate]
+    run: Callable[[Run, ImuLog, Any], BiasEstimate]
 
 
-def _by_segments(method: Callable[..., BiasEstimate]) -> Callable[[Run, ImuLog, object], BiasEstimate]:
+def _by_segments(method: Callable[..., BiasEstimate]) -> Callable[[Run, ImuLog, Any], BiasEstimate]:
     return lambda run, imu, config: method(imu.t, imu.gz, config)
 
 
@@ -43,8 +45,8 @@ METHODS: dict[str, BiasMethod] = {
         BiasMethod("A", "bias of the start, kept", True, CECHOWICZ, SegmentConfig, _by_segments(method_a)),
         BiasMethod("B", "segments that pass the range test", True, CECHOWICZ, SegmentConfig, _by_segments(method_b)),
         BiasMethod("C", "range test and band", True, CECHOWICZ, SegmentConfig, _by_segments(method_c)),
-        BiasMethod("best", "one filter, looking back only", True, "guide: imu", FilterConfig, best),  # type: ignore[arg-type]
-        BiasMethod("smoothed", "the same with hindsight", False, "guide: imu", FilterConfig, smoothed),  # type: ignore[arg-type]
+        BiasMethod("best", "one filter, looking back only", True, "guide: imu", FilterConfig, best),
+        BiasMethod("smoothed", "the same with hindsight", False, "guide: imu", FilterConfig, smoothed),
     )
 }
 
@@ -85,16 +87,13 @@ def track_bias(run: Run, method: str, config: SegmentConfig | FilterConfig | Non
 
 def _usable(imu: ImuLog) -> tuple[ImuLog, tuple[str, ...]]:
     """Readings that are finite and whose stamps go on."""
-    good = np.isfinite(imu.gz) & np.isfinite(imu.t)
-    bad = len(good) - int(good.sum())
-    notes: tuple[str, ...] = (f"{bad} gyro readings are not finite; they are left out.",) if bad else ()
-    latest = np.maximum.accumulate(np.where(good, imu.t, -np.inf))
-    onward = good.copy()
-    onward[1:] &= imu.t[1:] > latest[:-1]
-    back = int(good.sum() - onward.sum())
-    if back:
-        notes += (f"{back} stamps do not go on from the one before; their readings are left out.",)
-    left = int(onward.sum())
+    kept = onward(imu.t)
+    notes = told(imu.t, kept)
+    bad = ~np.isfinite(imu.gz) | ~np.isfinite(imu.t)
+    if bad.any():
+        notes += (f"{int(bad.sum())} gyro readings are not finite; they are left out.",)
+    kept &= ~bad
+    left = int(kept.sum())
     if left < 8:
         raise NotEnoughDataError(
             f"{left} finite gyro readings are too few to find a bias from",
@@ -103,10 +102,10 @@ def _usable(imu: ImuLog) -> tuple[ImuLog, tuple[str, ...]]:
             found=left,
             expected=8,
         )
-    if left == len(good):
+    if left == len(kept):
         return imu, ()
-    kept = ImuLog(**{name: column[onward] for name, column in imu.columns().items()})  # type: ignore[arg-type]
-    return kept, notes
+    columns = {name: column[kept] for name, column in imu.columns().items()}
+    return ImuLog(**columns), notes  # type: ignore[arg-type]  # columns() says its names only at run time
 
 
 def _oddities(imu: ImuLog, least: float, most: float, made: BiasEstimate) -> tuple[str, ...]:

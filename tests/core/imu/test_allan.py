@@ -7,7 +7,7 @@ import allantools
 import numpy as np
 import pytest
 
-from core.errors import NotEnoughDataError, ParameterError
+from core.errors import NotEnoughDataError
 from core.imu.allan import allan, allan_of, degrees_of_freedom
 from core.imu.grid import Record, to_grid
 from core.imu.noise import fit_noise
@@ -102,8 +102,22 @@ def test_refusals_name_what_is_wrong() -> None:
         allan(t, np.sin(t), taus=np.array([60.0]))
     with pytest.raises(NotEnoughDataError, match="at least 9"):
         allan(t[:5], t[:5])
-    with pytest.raises(ParameterError, match="reading 4 does not"):
-        allan(np.array([0, 1, 2, 1.5, 4, 5, 6, 7, 8, 9.0]), np.arange(10.0))
+
+
+def test_stamps_that_go_back_are_left_out_and_told() -> None:
+    rng = np.random.default_rng(4)
+    t, y = np.arange(3000) / 100.0, rng.standard_normal(3000)
+    whole = allan(t, y)
+    clock = np.where(t < 20, t, t - 5.0)  # set back by 5 s: stamped twice are 500
+    back = allan(clock, y, taus=whole.tau)
+    assert len(back.tau) > 40
+    np.testing.assert_allclose(back.deviation[:30], whole.deviation[:30], rtol=0.15)
+    assert "row 2001 says 15 s after 19.99 s; 500 of 3000" in back.notes[0]
+    late = t.copy()
+    late[1000] = 1e6  # this one alone
+    assert "first where row 1002 says 10.01 s after 1000000 s; 1 of 3000" in allan(late, y).notes[0]
+    twice = np.sort(np.concatenate((t, t[:7])))
+    np.testing.assert_allclose(allan(twice, np.interp(twice, t, y)).deviation, whole.deviation)
 
 
 def synthetic(
