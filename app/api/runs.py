@@ -88,7 +88,7 @@ def summary(run: Run) -> schemas.RunSummary:
 
 
 def _summary(run: Run) -> dict[str, Any]:
-    copied = ("id", "name", "created_at", "deleted_at", "duration_s", "size_bytes", "is_example", "warnings")
+    copied = ("id", "name", "created_at", "deleted_at", "duration_s", "size_bytes", "is_example", "is_live", "warnings")
     best = schemas.Best(method=run.best_method, ate_rmse_m=run.best_ate_m) if run.best_method else None
     return {
         **{k: getattr(run, k) for k in copied},

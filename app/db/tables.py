@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import JSON, BigInteger, DateTime, ForeignKey, Index, MetaData, String, Text, UniqueConstraint
+from sqlalchemy import JSON, BigInteger, DateTime, ForeignKey, Index, MetaData, String, Text, UniqueConstraint, false
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column, relationship
 from sqlalchemy.types import TypeDecorator
 
@@ -80,6 +80,7 @@ class Run(Base):
     bias_drift: Mapped[float | None]  # rad/s, last minus first of the best gyro bias curve
     verdict: Mapped[str | None] = mapped_column(String(40))
     is_example: Mapped[bool] = mapped_column(default=False)
+    is_live: Mapped[bool] = mapped_column(default=False, server_default=false())  # still growing, see `LiveRun`
 
     robot: Mapped[Robot | None] = relationship(lazy="joined")
     streams: Mapped[list[Stream]] = relationship(
@@ -278,6 +279,22 @@ class DiagnosisRun(Base):
     name: Mapped[str] = mapped_column(String(200))
     duration_s: Mapped[float]
     held_out: Mapped[bool]
+
+
+class LiveRun(Base):
+    """A run that a robot streams, or streamed: `id` is that of the growing row in `runs` while it does; `run_id` the
+    stored run that it became. state: live, ended, stored."""
+
+    __tablename__ = "live_runs"
+    id: Mapped[str] = mapped_column(String(16), primary_key=True)
+    robot: Mapped[str] = mapped_column(String(64), index=True)
+    key: Mapped[str] = mapped_column(String(64))  # the robot's name for this run: `session` of the protocol
+    virtual: Mapped[bool] = mapped_column(default=False)
+    state: Mapped[str] = mapped_column(String(12), index=True)
+    run_id: Mapped[str | None] = mapped_column(String(16))
+    job_id: Mapped[str | None] = mapped_column(String(16))  # the job that stores it
+    started_at: Mapped[datetime] = mapped_column(default=now)
+    ended_at: Mapped[datetime | None]
 
 
 class Upload(Base):

@@ -22,6 +22,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from app.store import growing
 from core.formats.run_json import meta_from_json
 from core.run import Run
 from core.sensors import STREAMS
@@ -40,6 +41,8 @@ def path_of(data: Path, key: str) -> Path:
 
 def open(data: Path, key: str) -> npt.NDArray[Any]:  # noqa: A001
     """The array, mapped read-only: its pages come from disk as they are touched. FileNotFoundError if absent."""
+    if key.startswith("live-"):
+        return growing.open_column(data, key)
     path = path_of(data, key)
     try:
         mapped: npt.NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)

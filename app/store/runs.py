@@ -12,7 +12,7 @@ from sqlalchemy import Engine, delete, select
 from sqlalchemy.orm import Session, selectinload
 
 from app.db.session import reading
-from app.db.tables import Estimate, ImuResult, Robot, Run, RunWords, Stream, Tag, now
+from app.db.tables import Estimate, ImuResult, LiveRun, Robot, Run, RunWords, Stream, Tag, now
 from app.errors import ConflictError, NotFoundError
 from app.settings import Settings
 from app.store import arrays
@@ -58,7 +58,10 @@ def _new_row(session: Session, manifest: Mapping[str, Any]) -> Run:
 
 def get_run(session: Session, run_id: str, *, deleted: bool = False) -> Run:
     """The row of a run; NotFoundError if there is none, or it is deleted and that isn't asked for."""
-    run = session.get(Run, run_id, options=[selectinload(Run.streams), selectinload(Run.tags)])
+    loads = [selectinload(Run.streams), selectinload(Run.tags)]
+    run = session.get(Run, run_id, options=loads)
+    if run is None and (live := session.get(LiveRun, run_id)) is not None and live.run_id is not None:
+        run = session.get(Run, live.run_id, options=loads)  # the id that it had while it was live
     if run is None or (run.deleted_at is not None and not deleted):
         hint = "; it is deleted and can be restored" if run is not None else ""
         raise NotFoundError(f"there is no run {run_id!r}{hint}", what="run", id=run_id)
