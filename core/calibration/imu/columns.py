@@ -16,14 +16,15 @@ Flags = npt.NDArray[np.bool_]
 
 LARGEST = 20.0  # longest tau, in lengths of the longest run
 FASTEST = 10.0  # s, of the flicker's processes
+MISALIGNED = 0.03  # of an axis of an accelerometer against the case
 SLOWEST = 8.0  # of them, in lengths of the longest run
 
 
 @dataclass(frozen=True)
 class AxisData:
     """Blocks of one axis over all runs (n,): lo, hi [s], value, white (variance of a block's mean), u (n, 3) declared,
-    run and segment numbers, size (n,) of u, quantum floor (n,) as a variance; unknown (n,) is the number of a
-    constant of its own (force not declared), -1 where there is none.
+    run and segment numbers, size (n,) of what a fixture's error is in proportion to, quantum floor (n,) as a variance;
+    unknown (n,) is the number of a constant of its own (force not declared), -1 where there is none.
     """
 
     lo: Floats
@@ -76,12 +77,21 @@ def axis_data(found: Sequence[Stretch], axis: int) -> AxisData | None:
                 np.tile(u, (n, 1)),
                 np.full(n, s.run),
                 np.full(n, k),
-                np.full(n, np.linalg.norm(u)),
+                np.full(n, _tilted(u, axis) if accel else np.linalg.norm(u)),
                 np.full(n, _hidden_by_quantum(noise, quantum)),
                 np.full(n, unknown.index(k) if k in unknown else -1),
             )
         )
     return AxisData(*(np.concatenate(column) for column in zip(*rows, strict=True)))
+
+
+def _tilted(u: Floats, axis: int) -> float:
+    """How much of `u` a tilt turns into the axis: gravity's size is known, so a position is wrong across it only.
+
+    The sensor's own misalignment brings a little of that back.
+    """
+    square = float(u @ u)
+    return float(np.sqrt(square - u[axis] ** 2 + MISALIGNED**2 * square))
 
 
 def _hidden_by_quantum(noise: float, quantum: float) -> float:

@@ -34,6 +34,7 @@ UNLIKELY = 14.0  # chi-square beyond the best, where a time is no longer looked 
 SURE = 10.0  # deviations, beyond which a drift needs no comparison with none
 FLOOR = -9.0  # logarithm of a level that does not show
 MATRIX_SD = 0.2  # beyond which an element is not shown
+ALIKE = 1.0  # deviation, between a sensor's axes, of the logarithm of the flicker's level
 LONG_ENOUGH = 1200.0  # s: a run in which a warm-up would have shown
 
 
@@ -59,12 +60,24 @@ class AxisFit:
     tau_log_sd: float
     tau_best: float
     model: Floats
+    flicker: Usual | None = None
     notes: tuple[str, ...] = ()
 
 
-def fit_axis(data: AxisData, pooled: Levels | None = None, before: AxisFit | None = None) -> AxisFit:
+@dataclass(frozen=True)
+class Usual:
+    """What is known of the logarithm of the flicker's level [u^2]: mean and variance."""
+
+    mean: float
+    variance: float
+
+
+def fit_axis(
+    data: AxisData, pooled: Levels | None = None, before: AxisFit | None = None, usual: Usual | None = None
+) -> AxisFit:
     """Fit one axis. `pooled` gives turn_on and fixture found over all axes of the sensor; without it they are found
-    here, where runs and segments are enough for it. `before` is a fit to start from."""
+    here, where runs and segments are enough for it. `before` is a fit to start from; `usual`, the flicker of the
+    sensor's other axes."""
     problem = Problem(data)
     enough = len(data.value) >= 12 and problem.span > 6 * problem.shortest
     free = problem.scatters if pooled is None else (False, False)
@@ -82,7 +95,14 @@ def fit_axis(data: AxisData, pooled: Levels | None = None, before: AxisFit | Non
         # Each model with its own noise: a drift may also pass for a walk.
         plain, _ = _likeliest(problem, free, held, None, before)
         gain = problem.cost(plain, None, restricted=False) - problem.cost(levels, tau, restricted=False)
-    return _described(problem, levels, tau, gain)
+    return _described(problem, levels, tau, gain, usual)
+
+
+def _told_flicker(data: AxisData, made: AxisFit, usual: Usual) -> AxisFit:
+    """The same fit, its deviations told what flicker the other axes show."""
+    if made.flicker is None:
+        return made
+    return _described(Problem(data), made.levels, made.tau_best, made.drift_gain, usual)
 
 
 def _first_tau(problem: Problem, held: Levels) -> float:
@@ -147,15 +167,17 @@ def _likeliest(
     return unpack(minimize(cost, start, method="Nelder-Mead", options=options).x)
 
 
-def _described(problem: Problem, levels: Levels, tau: float | None, gain: float) -> AxisFit:
+def _described(problem: Problem, levels: Levels, tau: float | None, gain: float, usual: Usual | None = None) -> AxisFit:
     """Coefficients by name with deviations; NaN for those that are not shown."""
     shown = problem.shown
     beta, covariance, _, offsets = problem.solve(levels, tau)
     variance = np.diag(covariance).copy()
     amplitude = amplitude_sd = best = tau_sd = log_sd = np.nan
     notes: tuple[str, ...] = ()
+    flicker = None
     if tau is not None:
-        made = _spread(problem, levels, tau, beta, shown=gain >= SHOWN)
+        made = _spread(problem, levels, tau, beta, usual, shown=gain >= SHOWN)
+        flicker = made.flicker
         variance, log_sd = made.variance, made.log_sd
         if gain < SHOWN:
             beta, _, _, offsets = problem.solve(levels, None)
@@ -198,33 +220,38 @@ def _described(problem: Problem, levels: Levels, tau: float | None, gain: float)
         tau_log_sd=log_sd,
         tau_best=np.nan if tau is None else tau,
         model=model,
+        flicker=flicker,
         notes=notes,
     )
 
 
 @dataclass(frozen=True)
 class _Spread:
-    """Mean and variance of the coefficients, and the deviation of tau's logarithm."""
+    """Mean and variance of the coefficients, the deviation of tau's logarithm, and the flicker's level."""
 
     mean: Floats
     variance: Floats
     log_sd: float
+    flicker: Usual
 
 
-def _spread(problem: Problem, levels: Levels, tau: float, beta: Floats, *, shown: bool) -> _Spread:
+def _spread(problem: Problem, levels: Levels, tau: float, beta: Floats, usual: Usual | None, *, shown: bool) -> _Spread:
     """Second moments about `beta` and log tau over the likelihood of tau and of the flicker's level.
 
     A short record hardly shows its flicker, and what it does not show may still bend a drift: so levels are averaged
-    over, evenly likely by their logarithm, as are times. Where no drift is shown: about the fit without one, over
-    times that the runs are long enough to show.
+    over, evenly likely by their deviation (Gelman 2006) and near `usual`; times evenly by their logarithm. Where no
+    drift is shown: about the fit without one, over times that the runs are long enough to show.
     """
     weights, parts = [], []
-    for level, weight in _flicker_levels(problem, levels, tau):
+    allowed = _flicker_levels(problem, levels, tau, usual)
+    for level, weight in allowed:
         logs = _likely_times(problem, level, tau, shown=shown)
         solved = [problem.solve(level, float(t)) for t in np.exp(logs)]
         squares = np.array([s[2] for s in solved])
         within = np.exp(-(squares - squares.min()) / 2)
-        weights.append(weight * within / within.sum())
+        # The more flicker, the more times are likely: that speaks for it as well.
+        room = float(logs[1] - logs[0]) if shown else 1 / float(within.sum())
+        weights.append(weight * within * room)
         parts.append((logs, np.array([s[0] for s in solved]), np.array([np.diag(s[1]) for s in solved])))
     likely = np.concatenate(weights)
     likely /= likely.sum()
@@ -237,16 +264,24 @@ def _spread(problem: Problem, levels: Levels, tau: float, beta: Floats, *, shown
         # What is used is the constant bias; the drift that may hide in it widens its deviation.
         about = np.append(problem.solve(levels, None)[0], mean[-1])
         mean = about
-    return _Spread(mean, likely @ (own + (values - about) ** 2), float(np.sqrt(likely @ (logs - centre) ** 2)))
+    share = np.array([w.sum() for w in weights]) / sum(w.sum() for w in weights)
+    swings = np.log([level.swing for level, _ in allowed])
+    flicker = Usual(float(share @ swings), float(share @ (swings - share @ swings) ** 2))
+    variance = likely @ (own + (values - about) ** 2)
+    return _Spread(mean, variance, float(np.sqrt(likely @ (logs - centre) ** 2)), flicker)
 
 
-def _flicker_levels(problem: Problem, levels: Levels, tau: float) -> list[tuple[Levels, float]]:
+def _flicker_levels(problem: Problem, levels: Levels, tau: float, usual: Usual | None) -> list[tuple[Levels, float]]:
     """Levels of flicker that the data allow, each with its weight."""
     start = np.log(max(levels.swing / problem.base, np.exp(FLOOR)))
     logs = np.unique(np.append(np.arange(FLOOR, 6.1, 1.5), start))
     trials = [replace(levels, swing=float(np.exp(q)) * problem.base) for q in logs]
     costs = np.array([problem.cost(level, tau) for level in trials])
-    weight = np.exp(-(costs - costs.min()) / 2) * np.gradient(logs)
+    # By logarithm, levels near none would outweigh all others.
+    score = logs / 2 - costs / 2
+    if usual is not None:
+        score -= (logs + np.log(problem.base) - usual.mean) ** 2 / (2 * usual.variance)
+    weight = np.exp(score - score.max()) * np.gradient(logs)
     weight /= weight.sum()
     return [(level, float(w)) for level, w in zip(trials, weight, strict=True) if w > 0.01]
 
@@ -281,11 +316,22 @@ def fit_triad(found: Sequence[Stretch], axes: Sequence[int], tell: Callable[[flo
         return {}
     turn_on = float(np.mean([f.levels.turn_on for f in first.values() if f.scatter] or [0.0]))
     fixture = float(np.mean([f.levels.fixture for f in first.values()]))
+    usual = {axis: _of_others(first, axis) for axis in first}
     if turn_on == 0 and fixture == 0:
-        return first
+        return {a: made if (u := usual[a]) is None else _told_flicker(data[a], made, u) for a, made in first.items()}
     pooled = Levels(1.0, 0.0, 0.0, turn_on, fixture)
     second = {}
     for axis, columns in data.items():
-        second[axis] = fit_axis(columns, pooled, first[axis])
+        second[axis] = fit_axis(columns, pooled, first[axis], usual[axis])
         tell(1 / (2 * len(data)))
     return second
+
+
+def _of_others(fits: dict[int, AxisFit], axis: int) -> Usual | None:
+    """What the sensor's other axes tell of this one's flicker: alike within ALIKE."""
+    others = [f.flicker for a, f in fits.items() if a != axis and f.flicker is not None]
+    if not others:
+        return None
+    weight = np.array([1 / (u.variance + ALIKE**2) for u in others])
+    mean = float(weight @ [u.mean for u in others] / weight.sum())
+    return Usual(mean, 1 / float(weight.sum()) + ALIKE**2)
