@@ -71,6 +71,7 @@ SUMMARY: dict[str, Any] = {
     "sparkline": [[0.0, 0.0], [1.2, 0.1]],
     "size_bytes": 11520000,
     "is_example": False,
+    "is_live": False,
     "warnings": [],
 }
 
@@ -114,18 +115,19 @@ class RunSummary(Wire):
     sparkline: list[list[float]] = Field(description="at most 64 points [x, y] of the path [m]")
     size_bytes: int
     is_example: bool
+    is_live: bool = Field(default=False, description="a robot still streams it")
     warnings: list[str]
 
 
 class RunPage(Wire):
-    """One page of the list. `facets`: how many of all that match, by robot, tag and stream."""
+    """One page of the list. `facets`: how many of all that match, by robot, tag, stream and verdict."""
 
     model_config = example(
         {
             "items": [SUMMARY],
             "total": 1,
             "next": None,
-            "facets": {"robots": {"mill": 1}, "tags": {"wet": 1}, "streams": {"imu": 1}},
+            "facets": {"robots": {"mill": 1}, "tags": {"wet": 1}, "streams": {"imu": 1}, "verdicts": {}},
         }
     )
     items: list[RunSummary]
