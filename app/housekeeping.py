@@ -14,7 +14,7 @@ from sqlalchemy import Engine
 
 from app.db.session import reading, writing
 from app.settings import Settings
-from app.store import runs, uploads
+from app.store import diagnoses, runs, uploads
 
 log = logging.getLogger("driftscope")
 EVERY_S = 3600.0
@@ -47,6 +47,7 @@ def tidy(engine: Engine, settings: Settings) -> None:
     """One round."""
     with writing(engine) as session:
         purged = runs.purge(session, settings.undo_hours)
+        diagnoses.purge(session, settings.undo_hours)
     dropped = uploads.purge(engine, settings)
     with reading(engine) as session:
         freed = runs.collect_arrays(session, settings.data)

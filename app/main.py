@@ -14,7 +14,19 @@ from starlette.responses import Response
 from starlette.staticfiles import StaticFiles
 
 from app import errors, examples, housekeeping, jobs, login, openapi, paths, virtual_robot
-from app.api import calibrations, consistency, estimates, files, imu, mappings, runs, sandbox, streams, uploads
+from app.api import (
+    calibrations,
+    consistency,
+    diagnoses,
+    estimates,
+    files,
+    imu,
+    mappings,
+    runs,
+    sandbox,
+    streams,
+    uploads,
+)
 from app.api import jobs as job_api
 from app.api import virtual as virtual_api
 from app.db.migrate import migrate
@@ -37,6 +49,7 @@ API_ROUTERS: tuple[APIRouter, ...] = (  # under /api/v1
     consistency.router,
     imu.router,
     calibrations.router,
+    diagnoses.router,
     sandbox.router,
     job_api.router,
     virtual_api.router,

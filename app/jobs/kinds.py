@@ -10,10 +10,13 @@ from sqlalchemy.orm import Session
 
 from app.db.tables import Job
 from app.errors import NotFoundError
-from app.jobs import calibration, imu, tasks
+from app.figures.gap_sentence import headline
+from app.jobs import calibration, diagnose, imu, tasks
+from app.jobs import live as live_job
 from app.settings import Settings
-from app.store import calibrations, jobs, results, runs
+from app.store import calibrations, diagnoses, jobs, results, runs
 from app.store import imu as imu_store
+from app.store import live as live_store
 from app.store.provenance import code_version
 
 
@@ -123,11 +126,44 @@ def _correct_save(session: Session, settings: Settings, job: Job, manifest: dict
     return Saved({"run_id": run.id}, f"stored as {run.name}", job.run_id, following)
 
 
+def _diagnose_arguments(session: Session, settings: Settings, job: Job) -> dict[str, Any]:
+    asked = job.params
+    return {
+        "manifests": [runs.manifest(session, run_id) for run_id in asked["runs"]],
+        "held_out": [runs.manifest(session, run_id) for run_id in asked["held_out"]],
+        **{key: asked[key] for key in ("tolerances", "seed", "simulator")},
+    }
+
+
+def _diagnose_save(session: Session, settings: Settings, job: Job, made: dict[str, Any]) -> Saved:
+    asked = job.params
+    row = diagnoses.add_diagnosis(
+        session, asked["runs"], asked["held_out"], made, job_id=job.id, name=asked.get("name")
+    )
+    told = headline(row.result)
+    return Saved({"diagnosis_id": row.id, "verdict": row.verdict}, f"{row.name}: {told}", job.run_id)
+
+
+def _live_arguments(session: Session, settings: Settings, job: Job) -> dict[str, Any]:
+    return {"manifest": runs.manifest(session, job.params["live"])}
+
+
+def _live_save(session: Session, settings: Settings, job: Job, manifest: dict[str, Any] | None) -> Saved:
+    run = runs.add_run(session, manifest) if manifest is not None else None
+    live_store.stored(session, job.params["live"], run)
+    if run is None:
+        return Saved({}, "the robot had sent no readings: nothing was stored")
+    following = jobs.first_jobs(session, run.id)
+    return Saved({"run_id": run.id}, f"stored as {run.name}", run.id, following)
+
+
 KINDS: dict[str, Kind] = {
     "ingest": Kind("store an upload", tasks.ingest, _ingest_arguments, _ingest_save),
+    "live": Kind("store a live run", live_job.store, _live_arguments, _live_save),
     "estimate": Kind("estimate paths", tasks.estimate, _estimate_arguments, _estimate_save),
     "imu": Kind("analyse the IMU", imu.analyse, _imu_arguments, _imu_save),
     "calibrate": Kind("calibrate an IMU", calibration.calibrate, _calibrate_arguments, _calibrate_save),
     "judge": Kind("judge a calibration", calibration.judge, _judge_arguments, _imu_save),
     "correct": Kind("correct a run", calibration.correct, _correct_arguments, _correct_save),
+    "diagnose": Kind("diagnose the gap", diagnose.diagnose, _diagnose_arguments, _diagnose_save),
 }

@@ -8,7 +8,21 @@ from __future__ import annotations
 
 from fastapi import APIRouter
 
-from app.pages import about, calibration, calibrations, compare, guide, jobs, live, monitor, run, runs, sandbox
+from app.pages import (
+    about,
+    calibration,
+    calibrations,
+    compare,
+    diagnoses,
+    diagnosis,
+    guide,
+    jobs,
+    live,
+    monitor,
+    run,
+    runs,
+    sandbox,
+)
 
 PAGES: dict[str, APIRouter] = {
     "runs": runs.router,
@@ -17,6 +31,8 @@ PAGES: dict[str, APIRouter] = {
     "monitor": monitor.router,
     "compare": compare.router,
     "sandbox": sandbox.router,
+    "diagnoses": diagnoses.router,
+    "diagnosis": diagnosis.router,
     "calibrations": calibrations.router,
     "calibration": calibration.router,
     "jobs": jobs.router,

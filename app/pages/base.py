@@ -38,6 +38,7 @@ RAIL = (
     Place("live", "Live", "/live"),
     Place("compare", "Compare", "/compare"),
     Place("sandbox", "Sandbox", "/sandbox"),
+    Place("diagnoses", "Diagnoses", "/diagnoses"),
     Place("calibrations", "Calibrate", "/calibrations"),
     Place("jobs", "Jobs", "/jobs"),
     Place("guide", "Guide", "/guide"),

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 router = APIRouter(tags=["scenes"])
 
 ViewerQuery = Annotated[str, Query(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+OverlayName = Annotated[Literal["path", "gap", "patched"], Query(description="which of the viewer's overlays")]
 MAX_MESSAGE = 4096
 MAX_OVERLAY = 5000
 Finite = Annotated[float, Field(allow_inf_nan=False, ge=-1e7, le=1e7)]
@@ -44,11 +45,16 @@ class OverlayPath(BaseModel):
     t: list[Finite] = Field(min_length=2, max_length=MAX_OVERLAY)
     x: list[Finite] = Field(min_length=2, max_length=MAX_OVERLAY)
     y: list[Finite] = Field(min_length=2, max_length=MAX_OVERLAY)
+    levels: list[Annotated[int, Field(ge=0, le=6)]] | None = Field(
+        default=None, max_length=MAX_OVERLAY, description="steps of the gap at each point, in whose colours it is drawn"
+    )
 
 
 @router.put("/scenes/{run}/overlay", status_code=204, summary="A path beside the stored ones, for one viewer")
-def put_scene_overlay(run: RunId, request: Request, viewer: ViewerQuery, path: OverlayPath) -> None:
-    """Shown to this viewer in place of the one before, for as long as it looks. 404 where the scene is not open."""
+def put_scene_overlay(
+    run: RunId, request: Request, viewer: ViewerQuery, path: OverlayPath, name: OverlayName = "path"
+) -> None:
+    """Shown to this viewer in place of the one of that name, for as long as it looks. 404 where no scene is open."""
     import numpy as np
 
     from app.scene.viewer import Overlay
@@ -58,7 +64,11 @@ def put_scene_overlay(run: RunId, request: Request, viewer: ViewerQuery, path: O
         raise NotFoundError(f"nobody looks at a 3D scene of run {run}", what="scene", id=run)
     if not len(path.t) == len(path.x) == len(path.y) or any(b <= a for a, b in itertools.pairwise(path.t)):
         raise ParameterError("t, x and y must be of one length, t increasing", parameter="t")
-    scene.lay(viewer, Overlay(*(np.array(column, dtype=np.float64) for column in (path.t, path.x, path.y))))
+    if path.levels is not None and len(path.levels) != len(path.t):
+        raise ParameterError("levels must be as long as t", parameter="levels")
+    t, x, y = (np.array(column, dtype=np.float64) for column in (path.t, path.x, path.y))
+    levels = None if path.levels is None else np.array(path.levels, dtype=np.int64)
+    scene.lay(viewer, Overlay(t, x, y, levels), name)
 
 
 @router.get(

@@ -76,9 +76,9 @@ class Scene:
         """Move a viewer's cursor."""
         self._post(lambda: self._viewer(viewer).change(change, source))
 
-    def lay(self, viewer: str, overlay: Overlay) -> None:
+    def lay(self, viewer: str, overlay: Overlay, name: str = "path") -> None:
         """Show a path that is not stored to one viewer."""
-        self._post(lambda: self._viewer(viewer).lay(overlay))
+        self._post(lambda: self._viewer(viewer).lay(overlay, name))
 
     def listen(self, viewer: str, listener: Listener) -> None:
         """A page joins a viewer; the listener is called on the scene's loop."""

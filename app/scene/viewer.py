@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +20,7 @@ from app.scene import build, shapes
 from app.scene.cursor import Cursor
 from app.scene.data import DEFAULT_TRACK_WIDTH, FIXES, SceneData, ScenePath
 from app.scene.panel import Panel
-from app.scene.style import THEMES, primary, slug
+from app.scene.style import GAP, THEMES, primary, slug
 
 TICK = 1 / 30  # s
 OVERLAY = (124, 91, 176)
@@ -29,11 +29,15 @@ Listener = Callable[[dict[str, Any]], None]
 
 @dataclass(frozen=True)
 class Overlay:
-    """A path that is not stored (the sandbox's): t [s] increasing, x, y [m] in the map, each (N,)."""
+    """A path that is not stored (the sandbox's): t [s] increasing, x, y [m] in the map, each (N,).
+
+    levels: (N,) steps 0 to 6 of the gap there, in whose colours it is drawn; it then has no marker of its own.
+    """
 
     t: npt.NDArray[np.float64]
     x: npt.NDArray[np.float64]
     y: npt.NDArray[np.float64]
+    levels: npt.NDArray[np.int64] | None = None
 
 
 class Client:
@@ -47,7 +51,7 @@ class Client:
         self._variants: dict[str, list[viser.FrameHandle]] = {name: [] for name in THEMES}
         self._theme = ""
         self._leader: str | None = None
-        self._puck: viser.CylinderHandle | None = None
+        self._pucks: dict[str, viser.CylinderHandle] = {}
         self._anchor: tuple[float, float] | None = None  # where the followed robot was when following began
         self._camera = shapes.camera(sizes.extent)[0]  # where we have put it
         scene = handle.scene
@@ -149,25 +153,31 @@ class Client:
             disc.scale = scale
         disc.wxyz = shapes.yaw(angle[0])
 
-    def lay(self, overlay: Overlay | None) -> None:
-        """A path that is not stored, as a page lays it in; the one before goes."""
-        if overlay is None:
-            return
-        scene, top = self.handle.scene, self._sizes.level(len(self._data.paths) + 1)
-        points = np.column_stack((overlay.x, overlay.y, np.full(len(overlay.x), top)))
-        pieces = np.stack((points[:-1], points[1:]), axis=1)
-        scene.add_line_segments("/world/overlay/path", pieces, OVERLAY, thickness=3.0, thickness_units="screen")
-        if self._puck is None:
-            size = (self._data.robot.track_width or DEFAULT_TRACK_WIDTH) * self._sizes.robot_scale
-            self._puck = scene.add_cylinder(
-                "/world/overlay/now", radius=0.35 * size, height=0.3 * size, color=OVERLAY, cast_shadow=False
-            )
+    def lay(self, overlays: Mapping[str, Overlay]) -> None:
+        """Paths that are not stored, as a page lays them in; those of the same name go."""
+        scene = self.handle.scene
+        for name, overlay in overlays.items():
+            layer = len(self._data.paths) + (0.5 if overlay.levels is not None else 1.0)
+            points = np.column_stack((overlay.x, overlay.y, np.full(len(overlay.x), self._sizes.level(layer))))
+            pieces = np.stack((points[:-1], points[1:]), axis=1)
+            colours: Any = OVERLAY
+            if overlay.levels is not None:
+                colours = np.repeat(np.array(GAP, np.uint8)[overlay.levels[1:]][:, None], 2, axis=1)
+            width = 3.0 if overlay.levels is None else 6.0
+            node = f"/world/overlay/{name}"
+            scene.add_line_segments(f"{node}/path", pieces, colours, thickness=width, thickness_units="screen")
+            if overlay.levels is None and name not in self._pucks:
+                size = (self._data.robot.track_width or DEFAULT_TRACK_WIDTH) * self._sizes.robot_scale
+                self._pucks[name] = scene.add_cylinder(
+                    f"{node}/now", radius=0.35 * size, height=0.3 * size, color=OVERLAY, cast_shadow=False
+                )
 
-    def move_overlay(self, t: float, overlay: Overlay | None) -> None:
-        """Its marker to where it is at t."""
-        if overlay is not None and self._puck is not None:
+    def move_overlays(self, t: float, overlays: Mapping[str, Overlay]) -> None:
+        """Their markers to where they are at t."""
+        for name, puck in self._pucks.items():
+            overlay = overlays[name]
             x, y = (float(np.interp(t, overlay.t, column)) for column in (overlay.x, overlay.y))
-            self._puck.position = (x, y, 0.2 * (self._data.robot.track_width or DEFAULT_TRACK_WIDTH))
+            puck.position = (x, y, 0.2 * (self._data.robot.track_width or DEFAULT_TRACK_WIDTH))
 
     def _follow(self, t: float, cursor: Cursor) -> None:
         """The world moves under the camera, so that the user's orbit and zoom stay his own."""
@@ -215,7 +225,7 @@ class Viewer:
         self._panels: dict[int, Panel] = {}
         self._listeners: list[Listener] = []
         self._timer: asyncio.TimerHandle | None = None
-        self._overlay: Overlay | None = None
+        self._overlays: dict[str, Overlay] = {}
         self._due = 0.0  # of the next tick, on the loop's clock
 
     @property
@@ -229,8 +239,8 @@ class Viewer:
             client = self._clients[handle.client_id] = Client(handle, self._data, self._sizes)
             client.dress(self.cursor)
             client.move(self.time(), self.cursor)
-            client.lay(self._overlay)
-            client.move_overlay(self.time(), self._overlay)
+            client.lay(self._overlays)
+            client.move_overlays(self.time(), self._overlays)
         if self._with_panel:
             self._panels[handle.client_id] = Panel(handle, self._data, self.cursor, self._by_panel)
         self._tell("scene")
@@ -276,13 +286,13 @@ class Viewer:
         self._tick()
         self._tell(by, source)
 
-    def lay(self, overlay: Overlay) -> None:
+    def lay(self, overlay: Overlay, name: str = "path") -> None:
         """Show this path beside the stored ones, in place of the one before."""
-        self._overlay = overlay
+        self._overlays[name] = overlay
         for client in self._clients.values():
             with client.handle.atomic():
-                client.lay(overlay)
-                client.move_overlay(self.time(), overlay)
+                client.lay({name: overlay})
+                client.move_overlays(self.time(), self._overlays)
 
     def _by_panel(self, change: dict[str, Any]) -> None:
         self.change(change, by="panel")
@@ -333,7 +343,7 @@ class Viewer:
         for client in self._clients.values():
             with client.handle.atomic():
                 client.move(t, self.cursor)
-                client.move_overlay(t, self._overlay)
+                client.move_overlays(t, self._overlays)
         if not self.cursor.playing:
             return
         if t >= self._data.t1:

@@ -39,7 +39,7 @@ class RunQuery:
 
 @dataclass(frozen=True)
 class RunPage:
-    """One page of the list; `facets` count over all that match: {"robots": {name: n}, "tags": ..., "streams": ...}."""
+    """One page of the list; `facets` count over all that match: robots, tags, streams, verdicts: {name: n} each."""
 
     items: list[Run]
     total: int
@@ -160,7 +160,7 @@ def _decode(cursor: str, sort: str, *, parse_time: bool) -> tuple[Any, str]:
 
 
 def _facets(session: Session, conditions: list[ColumnElement[bool]]) -> tuple[int, dict[str, dict[str, int]]]:
-    """How many match in all, and by robot, tag and stream; in one statement, so that the matches are found once."""
+    """How many match in all, by robot, tag, stream, verdict; in one statement, so that the matches are found once."""
     hit = select(Run.id, Run.robot_id, Run.stream_names).where(*conditions).cte("hit")
     count = func.count()
     if len(conditions) == 1:  # nothing but "not deleted": the few that are deleted are sooner left out
@@ -172,8 +172,16 @@ def _facets(session: Session, conditions: list[ColumnElement[bool]]) -> tuple[in
         select(literal("tags"), Tag.tag, count).where(tagged).group_by(Tag.tag),
         # a handful of combinations, so the streams are counted from them rather than from a row per stream
         select(literal("combinations"), hit.c.stream_names, count).group_by(hit.c.stream_names),
+        select(literal("verdicts"), Run.verdict, count)
+        .where(*conditions, Run.verdict.is_not(None))
+        .group_by(Run.verdict),
     )
-    counts: dict[str, Counter[str]] = {"robots": Counter(), "tags": Counter(), "streams": Counter()}
+    counts: dict[str, Counter[str]] = {
+        "robots": Counter(),
+        "tags": Counter(),
+        "streams": Counter(),
+        "verdicts": Counter(),
+    }
     total = 0
     for kind, name, n in session.execute(parts):
         if kind == "combinations":

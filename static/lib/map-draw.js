@@ -103,7 +103,7 @@ function drawDots(ctx, view, { t, x, y }, range, ink) {
 // Start: an open ring. End: a filled square, in the method's colour.
 export function drawEnds(ctx, view, path) {
   const ends = [path.x.findIndex((v) => v !== null), path.x.findLastIndex((v) => v !== null)];
-  if (path.dots || ends[0] < 0) return;
+  if (path.dots || path.ends === false || ends[0] < 0) return;
   ctx.strokeStyle = ctx.fillStyle = colour(path.color);
   ctx.lineWidth = 2;
   ctx.beginPath();

@@ -1,10 +1,12 @@
 // What each number means: [label, one sentence, formula where there is one, where the guide explains it].
 
+import { GAP_TERMS } from "./terms-gap.js";
 import { IMU_TERMS } from "./terms-imu.js";
 import { LIVE_TERMS } from "./terms-live.js";
 
 export const TERMS = {
   ...IMU_TERMS,
+  ...GAP_TERMS,
   ...LIVE_TERMS,
   name: ["Name", "What the recording is called. Change it on the run's page."],
   robot: ["Robot", "The robot that drove. Click one at the left to see only its runs."],
@@ -14,7 +16,7 @@ export const TERMS = {
   best_error: ["Best error", "The smallest absolute trajectory error of any method on this run, against its truth.", "min over methods of ATE", "numbers#ate"],
   bias_drift: ["Bias drift", "How far the gyro's bias moved from the start to the end of the run, by the best estimate of it.", "b(t₁) − b(t₀)", "numbers#gyro-bias"],
   bias_drift_rad_s: ["Bias drift", "How far the gyro's bias moved from the start to the end of the run.", "b(t₁) − b(t₀)", "numbers#gyro-bias"],
-  verdict: ["Verdict", "What the last sim-to-real diagnosis said of this run."],
+  verdict: ["Gap verdict", "What the newest sim-to-real diagnosis that this run took part in said.", null, "diagnoses#the-verdict"],
   path: ["Path", "The best path known. The dot is its start. Each is scaled to fit."],
   tags: ["Tags", "Your words for runs. Search with tag:word."],
   ate_rmse_m: ["Absolute trajectory error", "Root mean square distance between the path and the truth. Nothing is aligned first: both are in the map.", "√(mean ‖p(t) − p̂(t)‖²)", "numbers#ate"],

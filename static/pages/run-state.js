@@ -1,6 +1,6 @@
 // What the page shows, kept in its address: tab, view, range, time, methods, the enlarged plot. A link restores it all.
 
-const TABS = ["path", "signals", "imu", "consistency", "files", "notes"];
+const TABS = ["path", "signals", "imu", "consistency", "gap", "files", "notes"];
 const FORMER = { bias: "imu" }; // old links
 const FOCUS = ["best", "C", "smoothed", "B", "A"]; // whose segments are shown first
 const VIEWS = ["both", "map", "scene"];

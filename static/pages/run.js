@@ -8,6 +8,7 @@ import { mountConsistency } from "./run-consistency.js";
 import { mountMultiples } from "./run-errors.js";
 import { eventMethod, eventsOf, mountEvents } from "./run-events.js";
 import { mountFiles } from "./run-files.js";
+import { mountGap } from "./run-gap.js";
 import { mountHeader } from "./run-header.js";
 import { mountImu } from "./run-imu.js";
 import { mountJobs } from "./run-job.js";
@@ -34,7 +35,7 @@ const context = {
   decided: () => decided(),
 };
 
-const TABS = { path: mountPath, signals: mountSignals, imu: mountImu, consistency: mountConsistency, files: mountFiles, notes: mountNotes };
+const TABS = { path: mountPath, signals: mountSignals, imu: mountImu, consistency: mountConsistency, gap: mountGap, files: mountFiles, notes: mountNotes };
 const WITH_TIME = new Set(["path", "signals", "imu", "consistency"]);
 let mounted = null; // the tab that is up
 let paths = null;
@@ -156,7 +157,7 @@ for (const tab of $$("[role=tab]")) {
 mountHeader(context);
 mountMethods($("#methods"), state);
 strip = mountStrip($("#strip"), clock);
-keys("Run", { e: ["export the view below the pointer", openExport] });
+keys("Run", { e: ["export the view below the pointer", openExport], d: ["diagnose the gap", () => state.set("tab", "gap")] });
 state.subscribe((what) => {
   if (what === "tab") showTab();
   if (what === "events") tellEvents();

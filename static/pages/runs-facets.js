@@ -7,6 +7,7 @@ const GROUPS = [
   ["robot", "Robot", "robots"],
   ["tag", "Tag", "tags"],
   ["has", "Streams", "streams"],
+  ["gap", "Gap verdict", "verdicts"],
 ];
 const SHOWN = 8;
 const expanded = new Set();

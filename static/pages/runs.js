@@ -114,12 +114,18 @@ function paintSelection(selected) {
   tag.addEventListener("keydown", (event) => event.key === "Enter" && addTag(tag.value.trim()));
   const remove = h("button", { class: "button quiet danger", type: "button", onclick: () => deleteRuns([...selected]) }, icon("trash"), "Delete");
   const none = h("button", { class: "icon-button", type: "button", "aria-label": "Select none", onclick: () => table.selectNone() }, icon("close"));
-  return bar.replaceChildren(h("b", {}, `${count(n)} selected`), compare, tag, remove, none);
+  const diagnose = h("button", { class: "button", id: "diagnose", type: "button", "data-hint": "The gap between these runs and their simulator (d)", onclick: diagnoseSelected }, icon("diagnoses"), "Diagnose");
+  return bar.replaceChildren(h("b", {}, `${count(n)} selected`), compare, diagnose, tag, remove, none);
 }
 
 function compareSelected() {
   const n = table.selected.size;
   if (n >= 2 && n <= 8) location.href = `/compare?runs=${[...table.selected].join(",")}`;
+}
+
+function diagnoseSelected() {
+  const chosen = table.selected.size ? [...table.selected] : active() ? [active().id] : [];
+  if (chosen.length) location.href = `/diagnoses?runs=${chosen.join(",")}`;
 }
 
 async function saveTags(id, tags) {
@@ -229,6 +235,7 @@ keys("Runs", {
   Enter: ["open the run", () => (active() ? (location.href = `/runs/${active().id}`) : false)],
   x: ["select it", () => active() && table.select(active().id, !table.selected.has(active().id))],
   c: ["compare the selected", compareSelected],
+  d: ["diagnose the selected", diagnoseSelected],
   t: ["edit its tags", () => active() && table.editTags(active().id)],
   Delete: ["delete it, or the selected", () => deleteRuns(table.selected.size ? [...table.selected] : active() ? [active().id] : [])],
   u: ["undo the deletion", () => $("#undo-button")?.click()],

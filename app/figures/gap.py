@@ -1,0 +1,323 @@
+"""A diagnosis as figures: what the report page and the self-contained report draw, from gap/1 and gap-evidence/1.
+
+Whatever the evidence lacks gives an empty figure. Numbers come as people read them; gaps are in units of the noise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from app.figures.gap_sentence import regressor_name, stream_name, times
+from app.figures.gap_which import Line
+from app.figures.gap_words import label, percent, quantity
+from app.figures.plot import Band, Curve, Plot, plot, tick_text
+from app.figures.units import significant
+
+Result = Mapping[str, Any]
+Evidence = Mapping[str, Any]
+
+LEVELS = (1.1, 1.5, 2.5, 4.0, 8.0, 16.0)
+"""Excess over the floor at which the colour steps up: classes heat-0 to heat-6."""
+
+
+def level(excess: float | None) -> int:
+    """The colour class of a gap over its floor."""
+    return 0 if excess is None else sum(excess >= edge for edge in LEVELS)
+
+
+def over(value: float | None, floor: float | None) -> float | None:
+    """How many times the floor."""
+    return None if value is None or not floor else value / floor
+
+
+# ---- where
+
+
+@dataclass(frozen=True)
+class Link:
+    """One link of the chain: its excess over the floor before and after."""
+
+    name: str
+    streams: str
+    before: str
+    after: str
+    floor: str
+    p_value: str
+    level: int
+    left: int
+    guilty: bool
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell of the heat map."""
+
+    text: str
+    level: int
+    significant: bool
+    hint: str
+
+
+@dataclass(frozen=True)
+class Heat:
+    """Streams by regimes."""
+
+    regimes: tuple[str, ...]
+    rows: tuple[tuple[str, str, tuple[Cell | None, ...]], ...]  # stream, its name, cells
+
+
+@dataclass(frozen=True)
+class Spot:
+    """A line of `where`."""
+
+    text: str
+    share: str
+    p_value: str
+    intervals: tuple[tuple[float, float], ...]
+
+
+def links(result: Result, evidence: Evidence) -> list[Link]:
+    """The chain, in its order."""
+    return [
+        Link(
+            one["link"],
+            ", ".join(stream_name(s) for s in one["streams"]),
+            times(one["before"]),
+            times(one["after"]),
+            times(one["floor"]),
+            p_text(one["p_value"]),
+            level(over(one["before"], one["floor"])),
+            level(over(one["after"], one["floor"])),
+            one["link"] == result.get("link"),
+        )
+        for one in evidence.get("links") or ()
+    ]
+
+
+def heat(evidence: Evidence) -> Heat:
+    """The heat map; streams and regimes in the order in which they first come."""
+    cells = evidence.get("cells") or ()
+    regimes = tuple(dict.fromkeys(c["regime"] for c in cells))
+    streams = tuple(dict.fromkeys(c["stream"] for c in cells))
+    by = {(c["stream"], c["regime"]): c for c in cells}
+    rows = tuple((s, stream_name(s), tuple(_cell(by.get((s, r))) for r in regimes)) for s in streams)
+    return Heat(regimes, rows)
+
+
+def _cell(cell: Mapping[str, Any] | None) -> Cell | None:
+    if cell is None or not cell["rows"]:
+        return None
+    excess = over(cell["before"], cell["floor"])
+    hint = (
+        f"{stream_name(cell['stream'])}, {cell['regime']}: {times(cell['before'])} times the noise before, "
+        f"{times(cell['after'])} after, floor {times(cell['floor'])}; {cell['rows']:,} readings, "
+        f"p {p_text(cell['p_value'])}{', significant' if cell['significant'] else ''}"
+    )
+    return Cell(times(excess) if excess is not None else "–", level(excess), bool(cell["significant"]), hint)
+
+
+def spots(result: Result) -> list[Spot]:
+    """Where, in words, the strongest first."""
+    out = []
+    for one in result["where"][:8]:
+        place = one.get("place")
+        at = f", within {significant(place['radius'], 2)} m of ({place['x']:.1f}, {place['y']:.1f})" if place else ""
+        spans = tuple((float(a), float(b)) for a, b in one.get("intervals") or ())
+        said = f"{stream_name(one['stream'])}, {one['regime']}{at}"
+        out.append(Spot(said, percent(one["share"] or 0.0), p_text(one["p_value"]), spans))
+    return out
+
+
+def p_text(p: float | None) -> str:
+    """0.31, 0.002, < 10⁻⁹."""
+    if p is None:
+        return "–"
+    if p >= 0.001:
+        return f"{p:.2g}"
+    power = math.floor(math.log10(p)) if p > 0 else -300
+    raised = str(max(power, -300)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return f"10{raised}"
+
+
+# ---- how far
+
+
+@dataclass(frozen=True)
+class FarRow:
+    """A stream's gap before, after and at the floor, with their places on a common axis [px]."""
+
+    stream: str
+    name: str
+    y: float
+    before: str
+    after: str
+    floor: str
+    x_before: float
+    x_after: float
+    x_floor: float
+
+
+@dataclass(frozen=True)
+class Far:
+    """Dumbbells on a logarithmic axis."""
+
+    rows: tuple[FarRow, ...]
+    width: float
+    height: float
+    ticks: tuple[tuple[float, str], ...]
+
+
+def far(result: Result, width: float = 560.0) -> Far:
+    """In total first, then the streams, the loudest first."""
+    gap = result["gap"]
+    streams = sorted(gap["by_stream"].items(), key=lambda item: -(over(item[1]["before"], item[1]["floor"]) or 0.0))
+    rows = [("", "all streams", gap), *((s, stream_name(s), g) for s, g in streams)]
+    rows = [r for r in rows if all(isinstance(r[2][k], int | float) for k in ("before", "after", "floor"))]
+    values = [max(r[2][k], 1e-3) for r in rows for k in ("before", "after", "floor")]
+    lo, hi = math.log10(min([0.8, *values]) * 0.85), math.log10(max([2.0, *values]) * 1.15)
+
+    def at(value: float) -> float:
+        return round((math.log10(max(value, 1e-3)) - lo) / (hi - lo) * width, 1)
+
+    marks = [k * 10.0**p for p in range(-3, 5) for k in (1, 2, 5) if lo <= math.log10(k * 10.0**p) <= hi]
+    if len(marks) > 8:
+        marks = [m for m in marks if f"{m:e}".startswith("1")]
+    return Far(
+        tuple(
+            FarRow(
+                s, name, 14.0 + 24.0 * i, times(g["before"]), times(g["after"]), times(g["floor"]),
+                at(g["before"]), at(g["after"]), at(g["floor"]),
+            )
+            for i, (s, name, g) in enumerate(rows)
+        ),
+        width,
+        24.0 * len(rows) + 26.0,
+        tuple((at(m), tick_text(m)) for m in marks),
+    )  # fmt: skip
+
+
+def shrunk(result: Result) -> str:
+    """How much of the gap goes, with its interval."""
+    gap = result["gap"]
+    if gap["shrink"] is None:
+        return ""
+    ci = gap.get("shrink_ci")
+    between = f" (90 %: {percent(ci[0], 3)} to {percent(ci[1], 3)})" if ci and None not in ci else ""
+    return f"{percent(gap['shrink'], 3)}{between}"
+
+
+# ---- drawn on the server for the report that needs nothing else
+
+
+def path_plot(run: Mapping[str, Any]) -> Plot | None:
+    """The path in pieces by the gap there."""
+    path = run.get("path")
+    if not path or len(path["t"]) < 2:
+        return None
+    levels = [level(g) for g in path["gap"]]
+    curves, first = [], 0
+    for i in range(1, len(levels)):
+        if levels[i] != levels[first] or i == len(levels) - 1:
+            rows = slice(first, i + 1)
+            curves.append(Curve("", f"g-path heat-{levels[first]}", path["x"][rows], path["y"][rows]))
+            first = i
+    return plot(curves, x_label="x, m", y_label="y, m", width=460, height=340, equal=True)
+
+
+def timeline_plot(run: Mapping[str, Any]) -> Plot | None:
+    """Root mean square over streams, before and after, by blocks of time."""
+    line_ = run.get("timeline")
+    if not line_ or len(line_["t"]) < 2:
+        return None
+    curves = [
+        Curve("simulated", "g-nominal", line_["t"], rms(line_["before"], len(line_["t"]))),
+        Curve("patched", "g-patched", line_["t"], rms(line_["after"], len(line_["t"]))),
+    ]
+    return plot(curves, x_label="time, s", y_label="× noise", width=720, height=170, from_zero=True)
+
+
+def rms(by_stream: Mapping[str, Sequence[float | None]], n: int) -> list[float | None]:
+    """Root mean square over streams in each block; None where no stream has a reading."""
+    out: list[float | None] = []
+    for k in range(n):
+        known = [v for column in by_stream.values() if (v := column[k]) is not None]
+        out.append(math.sqrt(sum(v * v for v in known) / len(known)) if known else None)
+    return out
+
+
+def overlay_plot(run: Mapping[str, Any]) -> Plot | None:
+    """Real path, simulated and patched ones driven from the start in one go."""
+    free = run.get("free_run")
+    if not free or not free["paths"]:
+        return None
+    named = (("real", "g-real", free["real"]), ("simulated", "g-nominal", free["paths"][0]))
+    curves = [
+        Curve(name, style, p["x"], p["y"]) for name, style, p in (*named, ("patched", "g-patched", free["paths"][-1]))
+    ]
+    return plot(curves, x_label="x, m", y_label="y, m", width=460, height=340, equal=True)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A curve of what is left."""
+
+    title: str
+    share: str
+    drawn: Plot
+
+
+def shapes(evidence: Evidence) -> list[Shape]:
+    """What is left by each regressor, with its band."""
+    rest = evidence.get("unexplained")
+    out = []
+    for one in (rest or {}).get("shapes") or ():
+        unit = f", {one['unit']}" if one.get("unit") else ""
+        drawn = plot(
+            (Curve("what is left", "g-real", one["x"], one["y"]),),
+            (Band("g-band", one["x"], one["lo"], one["hi"]),),
+            x_label=f"{regressor_name(one['regressor'])}{unit}",
+            y_label="",
+            width=360,
+            height=180,
+        )
+        out.append(Shape(f"by {regressor_name(one['regressor'])}", percent(one["share"] or 0.0), drawn))
+    return out
+
+
+def left_facts(evidence: Evidence) -> list[str]:
+    """Period, onset and place of what is left, in words."""
+    rest = evidence.get("unexplained") or {}
+    out = []
+    if period := rest.get("period"):
+        out.append(
+            f"It repeats every {quantity(period['value'], period['unit'])} of {regressor_name(period['regressor'])}."
+        )
+    if onset := rest.get("onset"):
+        out.append(f"It begins at {significant(onset['t'], 4)} ± {significant(onset['sd'], 2)} s.")
+    if place := rest.get("place"):
+        at = f"x {significant(place['x'])} m, y {significant(place['y'])} m"
+        out.append(f"It stands within {significant(place['radius'], 2)} m of {at}.")
+    return out
+
+
+def nearest(evidence: Evidence) -> list[Line]:
+    """Listed effects close to what is left."""
+    rest = evidence.get("unexplained") or {}
+    return [
+        Line(o["effect"], label(o["effect"]), o["reason"], percent(o["takes"] or 0.0))
+        for o in rest.get("nearest") or ()
+    ]
+
+
+def drive_plot(evidence: Evidence) -> Plot | None:
+    """The next manoeuvre from above."""
+    drive = evidence.get("next")
+    if not drive or len(drive["path"]["x"]) < 2:
+        return None
+    return plot(
+        (Curve("", "g-real", drive["path"]["x"], drive["path"]["y"]),),
+        x_label="x, m", y_label="y, m", width=320, height=260, equal=True,
+    )  # fmt: skip

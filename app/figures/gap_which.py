@@ -1,0 +1,184 @@
+"""Which effects: their probabilities, sizes, signatures, and why others are not. From gap/1 and gap-evidence/1."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from app.figures.gap_sentence import JOINT, regressor_name, stream_name
+from app.figures.gap_words import as_set, difference, label, percent, quantity
+from app.figures.plot import Band, Curve, Plot, plot
+from core.effects import EFFECTS
+
+Result = Mapping[str, Any]
+Evidence = Mapping[str, Any]
+
+Z90 = 1.645
+BAR = 200.0  # px of probability 1
+
+
+@dataclass(frozen=True)
+class Chance:
+    """A bar of probability; `bracket` numbers the set of effects that cannot be told apart."""
+
+    effect: str
+    label: str
+    probability: float
+    text: str
+    width: float
+    joint: bool
+    bracket: int | None
+
+
+@dataclass(frozen=True)
+class Size:
+    """A parameter with its 90 % interval."""
+
+    name: str
+    value: str
+    interval: str
+    si: str
+
+
+@dataclass(frozen=True)
+class Found:
+    """One cause."""
+
+    effect: str
+    label: str
+    difference: str
+    equation: str
+    setting: str
+    probability: str
+    share: str
+    sizes: tuple[Size, ...]
+    confusable: tuple[str, ...]
+    joint: bool
+    signature: Plot | None
+    signature_of: str
+
+
+@dataclass(frozen=True)
+class Line:
+    """An effect with a word on it."""
+
+    effect: str
+    label: str
+    text: str
+    number: str = ""
+
+
+def chances(result: Result, evidence: Evidence) -> list[Chance]:
+    """Every effect with a probability over 0.01, "none" and "unknown" too; sets stand together."""
+    known = {cause["effect"]: cause["probability"] or 0.0 for cause in result["causes"]}
+    known |= {k: v for k, v in (result.get("probabilities") or {}).items() if v}
+    brackets = {effect: k for k, group in enumerate(evidence.get("sets") or ()) for effect in group}
+    best = {k: max((known.get(e, 0.0) for e in group), default=0.0) for k, group in enumerate(evidence["sets"])}
+    shown = [effect for effect, p in known.items() if p > 0.01]
+
+    def rank(effect: str) -> tuple[float, int, float]:
+        group = brackets.get(effect)
+        lead = known[effect] if group is None else max(best[group], known[effect])
+        return -lead, -1 if group is None else group, -known[effect]
+
+    return [
+        Chance(
+            effect,
+            {"none": "no gap at all", "unknown": "something in no list"}.get(effect, label(effect)),
+            known[effect],
+            f"{known[effect]:.2f}",
+            round(BAR * known[effect], 1),
+            known[effect] > JOINT,
+            brackets.get(effect),
+        )
+        for effect in sorted(shown, key=rank)
+    ]
+
+
+def found(result: Result, evidence: Evidence) -> list[Found]:
+    """The causes with their sizes and signatures."""
+    return [_found(cause, evidence) for cause in result["causes"]]
+
+
+def _found(cause: Mapping[str, Any], evidence: Evidence) -> Found:
+    effect = cause["effect"]
+    signature = (evidence.get("signatures") or {}).get(effect)
+    return Found(
+        effect,
+        label(effect),
+        difference(effect, cause["parameters"]),
+        EFFECTS[effect].equation if effect in EFFECTS else "",
+        as_set(effect, cause["parameters"]),
+        f"{cause['probability']:.2f}",
+        percent(cause["share"] or 0.0),
+        sizes(effect, cause["parameters"]),
+        tuple(label(name) for name in cause.get("confusable_with") or ()),
+        (cause["probability"] or 0.0) > JOINT,
+        signature_plot(signature) if signature else None,
+        f"{stream_name(signature['stream'])} by {regressor_name(signature['regressor'])}" if signature else "",
+    )
+
+
+def sizes(effect: str, parameters: Mapping[str, Mapping[str, Any]]) -> tuple[Size, ...]:
+    """Parameters with their intervals; a name has none."""
+    units = {p.name: p.unit for p in EFFECTS[effect].parameters} if effect in EFFECTS else {}
+    out = []
+    for name, entry in parameters.items():
+        value, std, unit = entry.get("value"), entry.get("std"), units.get(name, "")
+        interval = ""
+        if std is not None and isinstance(value, int | float):
+            interval = f"{quantity(value - Z90 * std, unit)} to {quantity(value + Z90 * std, unit)}"
+        si = f"{value} {unit}".strip() + (f", sd {std:.3g}" if std is not None else "")
+        out.append(Size(name, quantity(value, unit), interval, si))
+    return tuple(out)
+
+
+def signature_plot(one: Mapping[str, Any], width: float = 360.0, height: float = 170.0) -> Plot:
+    """What the effect does to its stream: residual with two deviations, the fit, and what is left."""
+    lo = [None if r is None or s is None else r - 2 * s for r, s in zip(one["residual"], one["sd"], strict=True)]
+    hi = [None if r is None or s is None else r + 2 * s for r, s in zip(one["residual"], one["sd"], strict=True)]
+    curves = (
+        Curve("residual", "g-real", one["x"], one["residual"], dots=True),
+        Curve("with the effect", "g-patched", one["x"], one["fitted"]),
+        Curve("what is left", "g-left", one["x"], one["after"]),
+    )
+    unit = f", {one['unit']}" if one.get("unit") else ""
+    across = f"{regressor_name(one['regressor'])}{unit}"
+    return plot(curves, (Band("g-band", one["x"], lo, hi),), x_label=across, y_label="", width=width, height=height)
+
+
+def considered(result: Result, evidence: Evidence) -> list[Line]:
+    """What was explained away, the nearest first; else what the answer says of it."""
+    rows = evidence.get("considered") or ()
+    if rows:
+        ranked = sorted(rows, key=lambda one: -(one.get("takes") or 0.0))
+        return [Line(o["effect"], label(o["effect"]), o["reason"], percent(o["takes"] or 0.0)) for o in ranked]
+    return [Line(o["effect"], label(o["effect"]), o["reason"]) for o in result.get("rejected") or ()]
+
+
+def cannot_see(result: Result, evidence: Evidence) -> list[Line]:
+    """What these runs could not have shown, and from which size on they could."""
+    out = []
+    for one in evidence.get("cannot_see") or result.get("unseen") or ():
+        effect, parameter = one["effect"], one["parameter"]
+        unit = one.get("unit")
+        if unit is None:
+            unit = (
+                next((p.unit for p in EFFECTS[effect].parameters if p.name == parameter), "")
+                if effect in EFFECTS
+                else ""
+            )
+        size = one.get("visible_from")
+        text = f"{parameter}: from {quantity(size, unit)} on" if size is not None else f"{parameter}: at no size"
+        out.append(Line(effect, label(effect), text, "" if size is None else quantity(size, unit)))
+    return out
+
+
+def immaterial(result: Result) -> list[Line]:
+    """What is real but below its tolerance."""
+    out = []
+    for one in result.get("immaterial") or ():
+        told = ", ".join(f"{s.name} {s.value}" for s in sizes(one["effect"], one["parameters"]))
+        out.append(Line(one["effect"], label(one["effect"]), told))
+    return out

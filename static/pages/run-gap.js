@@ -1,0 +1,62 @@
+// The Gap tab of a run: what the latest diagnosis said, the earlier ones, and a new one.
+
+import { api, problemNote } from "../lib/api.js";
+import { h } from "../lib/dom.js";
+import { number, when } from "../lib/format.js";
+import { isActive } from "../lib/jobs.js";
+import { diagnose, follow } from "./diagnose-job.js";
+import { said } from "./gap-words.js";
+
+const VERDICTS = { none: ["no gap", "green"], explained: ["explained", ""], partly_explained: ["partly explained", "amber"], unknown: ["unknown cause", "red"] };
+
+export function mountGap(host, { run, data }) {
+  const note = h("div", { "aria-live": "polite", id: "gap-job" });
+  const found = h("div", { class: "gap-latest", id: "gap-found" });
+  const go = h("button", { type: "button", class: "button primary", id: "diagnose-run", "data-hint": "Fit this run against the nominal simulator and score it on itself" }, "Diagnose this run");
+  const more = h("a", { class: "button", href: `/diagnoses?runs=${run.id}`, "data-hint": "With other runs, some held out, and what matters (d)" }, "With other runs …");
+  const root = h("section", { class: "card gap-tab" }, found, note, h("div", { class: "row" }, go, more));
+  let gone = false;
+  host.append(root);
+
+  go.addEventListener("click", async () => {
+    go.disabled = true;
+    await diagnose(note, { runs: [run.id], held_out: [], options: {} });
+    go.disabled = false;
+    if (!gone) load();
+  });
+
+  async function load() {
+    try {
+      const { items } = await api(`diagnoses?run=${run.id}&limit=20`);
+      if (!gone) found.replaceChildren(...shown(items));
+    } catch (error) {
+      found.replaceChildren(problemNote(error));
+    }
+    root.dataset.state = "ready";
+  }
+
+  function shown([latest, ...rest]) {
+    if (!latest) return [h("p", {}, "Not diagnosed yet: where does this run differ from its simulator, which effect causes it, and how far does the gap shrink?")];
+    const streams = Object.entries(latest.gap.by_stream).sort((a, b) => b[1].before / b[1].floor - a[1].before / a[1].floor);
+    const rows = [["all streams", latest.gap], ...streams].map(([name, g]) => h("tr", {}, h("th", { scope: "row" }, name), h("td", { class: "num" }, number(g.before)), h("td", { class: "num" }, number(g.after)), h("td", { class: "num dim" }, number(g.floor))));
+    return [
+      h("p", { class: "said" }, said(latest.sentence)),
+      h("div", { class: "row" }, chip(latest), h("a", { class: "button", id: "open-diagnosis", href: `/diagnoses/${latest.id}` }, "Open the report"), h("span", { class: "dim" }, when(latest.created_at).text)),
+      h("table", { class: "table g-lines" }, h("thead", {}, h("tr", {}, h("th", { "data-term": "gap_far" }, "Gap, × noise"), h("th", { class: "num" }, "before"), h("th", { class: "num" }, "after"), h("th", { class: "num", "data-term": "gap_floor" }, "floor"))), h("tbody", {}, rows)),
+      rest.length ? h("details", {}, h("summary", { class: "dim" }, `${rest.length} earlier`), h("ul", { class: "imu-notes" }, rest.map((d) => h("li", {}, h("a", { href: `/diagnoses/${d.id}` }, d.name), " ", chip(d), h("span", { class: "dim" }, ` ${d.headline}, ${when(d.created_at).text}`))))) : "",
+    ];
+  }
+
+  const active = data.jobs.find((job) => job.kind === "diagnose" && isActive(job));
+  if (active) follow(note, active).then(() => gone || load());
+  load();
+  return {
+    setEvents() {},
+    destroy() {
+      gone = true;
+      root.remove();
+    },
+  };
+}
+
+const chip = (d) => h("span", { class: `chip ${VERDICTS[d.verdict][1]}` }, VERDICTS[d.verdict][0]);
