@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 from core.effects import EFFECTS
 from core.gap.candidates import Reach
-from core.gap.evidence import Evidence
 from core.gap.experiment import next_experiment
 from core.gap.explain import Search
 from core.gap.floor import Floor
@@ -15,6 +14,7 @@ from core.gap.judge import is_material, odds, probabilities, values_of
 from core.gap.leftover import unknown_of
 from core.gap.rejected import rejected, unseen
 from core.gap.shrink import figures, show
+from core.gap.tell import Told, evidence_of
 from core.gap.types import Cause, Config, Diagnosis, Immaterial, Unexplained, Value
 from core.gap.where import ground_of, look
 from core.gap.world import WHEELS, World
@@ -73,7 +73,9 @@ def conclude(
         notes=_notes(floor),
         link=_link(sure, unexplained),
         runtime_s=0.0,
-        evidence=Evidence(cells=looked.cells),
+        evidence=evidence_of(
+            found, Told(found.model, causing, causes, chances, reach), ground, seen, looked, kept, scored
+        ),
     )
 
 

@@ -130,7 +130,9 @@ class Considered:
 
 @dataclass(frozen=True)
 class CannotSee:
-    """A parameter that these runs do not show at its tolerance; visible_from: the size they would (None: never)."""
+    """A parameter that these runs do not show at its tolerance; visible_from: at which deviation from neutral they
+    would (None: at none).
+    """
 
     effect: str
     parameter: str

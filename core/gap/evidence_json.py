@@ -14,7 +14,7 @@ from core.gap.types import Diagnosis
 
 POINTS = 2000
 """At most so many points per curve."""
-DIGITS = 6
+DIGITS = 5
 """Significant digits of curves."""
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from core.effects import EFFECTS
 from core.gap.candidates import Reach, tolerance
+from core.gap.evidence import Considered
 from core.gap.explain import Search
 from core.gap.selection import WORTH
 from core.gap.types import Rejected, Unseen
@@ -27,6 +28,28 @@ def rejected(found: Search, material: Sequence[str], chances: Mapping[str, float
                         f"refitted, it takes {max(gain, 0.0) / max(best, 1.0):.1%} of what {step.action[4:]} takes"
                     )
     return tuple(Rejected(name, reason) for name, reason in out.items() if name not in material)
+
+
+def considered(found: Search, material: Sequence[str], chances: Mapping[str, float]) -> tuple[Considered, ...]:
+    """Effects that were weighed and are no cause, the nearest first."""
+    why = {one.effect: one.reason for one in rejected(found, material, chances)}
+    out: dict[str, Considered] = {}
+    for link in found.links:
+        best = max([*link.gains.values(), *link.earned.values()], default=0.0)
+        for name, gain in link.gains.items():
+            if name in why:
+                out[name] = Considered(name, chances.get(name, 0.0), gain, _part(gain, best), why[name])
+        for step in link.steps:
+            gains = dict(step.gains)
+            best = max(gains.get(step.action[4:], 0.0), *gains.values(), 1.0) if gains else 1.0
+            for name, gain in gains.items():
+                if name in why and (name not in out or gain > out[name].drop):
+                    out[name] = Considered(name, chances.get(name, 0.0), gain, _part(gain, best), why[name])
+    return tuple(sorted(out.values(), key=lambda one: -one.drop))
+
+
+def _part(gain: float, best: float) -> float:
+    return min(max(gain, 0.0) / best, 1.0) if best > 0.0 else 0.0
 
 
 def unseen(found: Search, reach: Reach) -> tuple[Unseen, ...]:

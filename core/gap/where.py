@@ -48,12 +48,16 @@ SMALLEST = 1e-300
 
 @dataclass(frozen=True)
 class Ground:
-    """What is known of the fitted runs: worlds, what they do, their energies; by = share of each cause by channel."""
+    """What is known of the fitted runs: worlds, what they do, their energies; by: each cause's share by channel.
+
+    parts: per channel, (E,) white energy of each cause that is more than noise.
+    """
 
     worlds: Sequence[World]
     moved: Sequence[Motion]
     energy: Runs
     by: Mapping[str, Mapping[str, float]]
+    parts: Mapping[str, Array]
 
     @property
     def channels(self) -> list[str]:
@@ -82,9 +86,10 @@ def ground_of(worlds: Sequence[World], shown: Sequence[Shown], causes: EffectSet
     energy = [energies(w, one.bare, one.base, one.full, floor) for w, one in zip(worlds, shown, strict=True)]
     real = [name for name in causes if name not in NOISES]
     by = {}
-    for name, each in parts(worlds, [one.full for one in shown], [one.without for one in shown]).items():
+    own = parts(worlds, [one.full for one in shown], [one.without for one in shown])
+    for name, each in own.items():
         by[name] = dict(zip(real, (each / max(float(each.sum()), 1e-9)).tolist(), strict=True))
-    return Ground(worlds, [motion(world) for world in worlds], energy, by)
+    return Ground(worlds, [motion(world) for world in worlds], energy, by, own)
 
 
 def look(ground: Ground, causes: EffectSet, shape: Shape | None) -> Findings:
