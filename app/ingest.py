@@ -6,7 +6,7 @@ import contextlib
 import hashlib
 import json
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -156,19 +156,23 @@ def _write(
 
 
 def _describe(data: Path, stream: StreamSource, writers: Mapping[str, arrays.Writer]) -> dict[str, Any]:
-    columns = {name: writer.commit() for name, writer in writers.items()}
+    return described(data, stream.name, {name: writer.commit() for name, writer in writers.items()}, stream.names)
+
+
+def described(data: Path, name: str, columns: Mapping[str, str], names: Sequence[str]) -> dict[str, Any]:
+    """A stream's row, given the keys of its stored columns and the names that its codes stand for."""
     t = arrays.open(data, columns["t"])
     pauses = gaps(t)
     longest = np.sort(np.argsort(pauses[:, 0] - pauses[:, 1], kind="stable")[:GAPS_KEPT])
     return {
-        "name": stream.name,
+        "name": name,
         "rows": int(t.shape[0]),
         "t0": float(t[0]),
         "t1": float(t[-1]),
         "rate_hz": rate(t),
         "gaps": pauses[longest].tolist(),
-        "columns": columns,
-        "names": list(stream.names),
+        "columns": dict(columns),
+        "names": list(names),
     }
 
 

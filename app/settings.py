@@ -30,6 +30,7 @@ class Settings:
     upload_hours: float = 48.0  # an upload that nobody touched for so long is dropped
     simulators: Path | None = None  # JSON file of simulators by name, see app.simulators
     demo: bool = False
+    drive: bool = False  # real robots may be driven; virtual ones always may
     allowed_hosts: tuple[str, ...] = ("127.0.0.1", "localhost", "::1")  # names that a loopback server answers to
 
     def __post_init__(self) -> None:

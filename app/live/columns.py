@@ -6,6 +6,7 @@ column with its number of rows (`app.store.growing`): a reader sees so many rows
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ class Columns:
         self.folder = growing.folder(data, run_id)
         self.folder.mkdir(parents=True, exist_ok=True)
         self._waiting: dict[str, list[dict[str, Any]]] = {}
+        self._adding, self._flushing = threading.Lock(), threading.Lock()
         self._kept: dict[str, dict[str, int]] = {}  # rows on file, per stream and column
         self._span: dict[str, list[float]] = {}
         self._gaps: dict[str, list[list[float]]] = {}
@@ -38,15 +40,18 @@ class Columns:
 
     def add(self, streams: Mapping[str, Mapping[str, npt.NDArray[Any]]]) -> None:
         """Rows of some streams; ranges with `beacon` as codes into `names`."""
-        for name, columns in streams.items():
-            self._waiting.setdefault(name, []).append(dict(columns))
+        with self._adding:
+            for name, columns in streams.items():
+                self._waiting.setdefault(name, []).append(dict(columns))
 
     def flush(self) -> list[dict[str, Any]]:
         """Append to the files; the streams as the store's rows describe them."""
-        waiting, self._waiting = self._waiting, {}
-        for name, parts in waiting.items():
-            self._append(name, parts)
-        return [self._described(name) for name in STREAMS if name in self._kept]
+        with self._flushing:
+            with self._adding:
+                waiting, self._waiting = self._waiting, {}
+            for name, parts in waiting.items():
+                self._append(name, parts)
+            return [self._described(name) for name in STREAMS if name in self._kept]
 
     def _append(self, name: str, parts: list[dict[str, Any]]) -> None:
         kept = self._kept.setdefault(name, {})
@@ -97,7 +102,11 @@ class Columns:
 
     def sparkline(self, robot: RobotParams) -> list[list[float]]:
         """The path as a run's row shows it."""
-        held = {
+        held: dict[str, Mapping[str, Any]] = {
             s: {c: self.open(s, c) for c in self._kept[s]} for s in ("truth", "beacon", "wheels") if s in self._kept
         }
         return sparkline(held, robot)
+
+    def all(self) -> dict[str, dict[str, npt.NDArray[Any]]]:
+        """Every column as far as it is on file."""
+        return {stream: {column: self.open(stream, column) for column in kept} for stream, kept in self._kept.items()}

@@ -51,6 +51,13 @@ class CheckedHello:
     virtual: bool
     limits: DriveLimits
 
+    def message(self) -> dict[str, Any]:
+        """As a Hello."""
+        return {
+            "type": "hello", "protocol": PROTOCOL, "session": self.session, "run": self.run, "drive": self.drive,
+            "virtual": self.virtual, "limits": dict(self.limits),
+        }  # fmt: skip
+
 
 @dataclass(frozen=True)
 class CheckedBatch:
@@ -95,7 +102,7 @@ def hello(message: dict[str, Any]) -> CheckedHello:
         _refuse("run", "run.json as an object", type(run).__name__)
     meta = meta_from_json({"format": "run/1", **run}, file="run.json")
     limits = message.get("limits", DRIVE_LIMITS)
-    if not isinstance(limits, dict) or not all(_finite(limits.get(k)) and 0 < limits[k] <= 20 for k in ("v", "w")):
+    if not isinstance(limits, dict) or not all(finite(limits.get(k)) and 0 < limits[k] <= 20 for k in ("v", "w")):
         _refuse("limits", "v [m/s] and w [rad/s] over 0", limits)
     return CheckedHello(
         session, meta, meta_to_json(meta), _flag(message, "drive"), _flag(message, "virtual"),
@@ -108,8 +115,9 @@ def batch(message: dict[str, Any]) -> CheckedBatch:
     n, sent, streams = message.get("n"), message.get("sent"), message.get("streams")
     if not isinstance(n, int) or isinstance(n, bool) or n < 0:
         _refuse("n", "a whole number from 0 on", n)
-    if not _finite(sent):
+    if not finite(sent):
         _refuse("sent", "the robot's clock in seconds", sent)
+    assert sent is not None
     if not isinstance(streams, dict):
         _refuse("streams", "an object of streams", type(streams).__name__)
     checked = {name: _stream(name, columns) for name, columns in streams.items()}
@@ -118,7 +126,7 @@ def batch(message: dict[str, Any]) -> CheckedBatch:
         limit = LIMITS["batch_rows"]
         raise TooLargeError(f"batch {n} has {rows} rows, at most {limit}", expected=limit, found=rows)
     heard = message.get("heard")
-    if heard is not None and not (isinstance(heard, list | tuple) and len(heard) == 2 and all(map(_finite, heard))):
+    if heard is not None and not (isinstance(heard, list | tuple) and len(heard) == 2 and all(map(finite, heard))):
         _refuse("heard", "[server's stamp, robot's stamp]", heard)
     return CheckedBatch(n, float(sent), (float(heard[0]), float(heard[1])) if heard else None, checked, rows)
 
@@ -138,7 +146,9 @@ def _stream(name: str, columns: Any) -> dict[str, Any]:
             _refuse("streams", f"the column {column.name}", "none", stream=name)
     if spec.at_least_one_of and not any(c in columns for c in spec.at_least_one_of):
         _refuse("streams", f"one of {', '.join(spec.at_least_one_of)}", "none", stream=name)
-    made = {c: _names(v) if c in spec.text_columns else _numbers(v, name, c) for c, v in columns.items()}
+    made: dict[str, Any] = {
+        c: _names(v) if c in spec.text_columns else _numbers(v, name, c) for c, v in columns.items()
+    }
     lengths = {c: len(v) for c, v in made.items()}
     if len(set(lengths.values())) > 1:
         _refuse("streams", "columns of one length", str(lengths), stream=name)
@@ -200,7 +210,8 @@ def _flag(message: dict[str, Any], name: str) -> bool:
     return bool(value)
 
 
-def _finite(value: Any) -> bool:
+def finite(value: Any) -> bool:
+    """Whether a value of a message is a finite number."""
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 

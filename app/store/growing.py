@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 KEY = re.compile(r"live-([0-9a-f]{16})-([a-z]+)-([a-z]+)-([0-9]{1,15})-(f8|i2)")
-DTYPES = {"f8": np.dtype("<f8"), "i2": np.dtype("<i2")}
+DTYPES: dict[str, np.dtype[Any]] = {"f8": np.dtype("<f8"), "i2": np.dtype("<i2")}
 
 
 def code_of(column: str) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from app.db.tables import LiveRun, Run, Stream, now
+from app.db.tables import Job, LiveRun, Run, Stream, now
 from app.store import runs
 
 LIVE, ENDED, STORED = "live", "ended", "stored"
@@ -98,3 +98,17 @@ def became(session: Session, run_id: str) -> str | None:
 def unfinished(session: Session) -> Sequence[LiveRun]:
     """Those that are not stored yet, oldest first."""
     return session.scalars(select(LiveRun).where(LiveRun.state != STORED).order_by(LiveRun.started_at)).all()
+
+
+def set_job(session: Session, run_id: str, job_id: str) -> None:
+    """The job that stores the run."""
+    row = session.get(LiveRun, run_id)
+    if row is not None:
+        row.job_id = job_id
+
+
+def being_stored(session: Session, run_id: str) -> bool:
+    """Whether a job that stores the run waits, works or has done so."""
+    row = session.get(LiveRun, run_id)
+    job = session.get(Job, row.job_id) if row is not None and row.job_id else None
+    return job is not None and job.state in ("queued", "running", "done")

@@ -1,0 +1,61 @@
+"""A viewer inside the server: the 3D scene of a live run hears what every other viewer hears, without a socket."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import msgpack
+
+from app.live.feed import Viewer
+
+if TYPE_CHECKING:
+    from app.live.hub import Hub, Robot
+    from app.live.run import LiveRun
+    from core.run import RunMeta
+
+Hear = Callable[[Mapping[str, Any]], None]
+
+
+class Tap(Viewer):
+    """Hands messages on at once instead of queueing them; `hear` must not wait."""
+
+    def __init__(self, hear: Hear) -> None:
+        super().__init__("3D", binary=True)
+        self._hear = hear
+
+    def post(self, frame: str | bytes) -> bool:
+        """An update, as it goes to all viewers."""
+        self._hear(msgpack.unpackb(frame))
+        return True
+
+    def tell(self, message: Mapping[str, Any]) -> None:
+        """A message for this viewer."""
+        self._hear(message)
+
+
+class LiveFeed:
+    """A live run as `app.scene.live.Feed` wants it."""
+
+    def __init__(self, hub: Hub, robot: Robot, run: LiveRun) -> None:
+        self._hub, self._robot = hub, robot
+        self.run_id, self.name, self.meta = run.id, run.said.meta.name or robot.name, run.said.meta
+
+    run_id: str
+    name: str
+    meta: RunMeta
+
+    def subscribe(self, hear: Hear) -> Callable[[], None]:
+        """Call `hear` on the hub's loop with a Snapshot and then every Update; returns what ends that. Thread-safe."""
+        tap = Tap(hear)
+
+        def join() -> None:
+            tap.tell(self._robot.snapshot(tap))
+            self._robot.viewers[tap] = None
+
+        def leave() -> None:
+            self._robot.viewers.pop(tap, None)
+            self._hub.forget_idle(self._robot)
+
+        self._hub.on_loop(join)
+        return lambda: self._hub.on_loop(leave)
