@@ -47,6 +47,7 @@ def parser() -> argparse.ArgumentParser:
     serve.add_argument("--port", type=_port, help="port to listen on (default 8000; 0 takes a free one)")
     serve.add_argument("--data", type=Path, help="data folder (default data)")
     serve.add_argument("--demo", action="store_true", default=None, help="also load the example runs")
+    serve.add_argument("--drive", action="store_true", default=None, help="let real robots be driven from the dashboard")
     serve.set_defaults(run=_serve)
 
     store = commands.add_parser("import", help="store runs; prints their ids")
@@ -96,7 +97,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _serve(options: argparse.Namespace) -> int:
     from app.settings import Settings
 
-    chosen = {name: getattr(options, name) for name in ("host", "port", "data", "demo")}
+    chosen = {name: getattr(options, name) for name in ("host", "port", "data", "demo", "drive")}
     settings = Settings.from_env(**chosen)
     from app.serve import serve
 

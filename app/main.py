@@ -28,9 +28,11 @@ from app.api import (
     uploads,
 )
 from app.api import jobs as job_api
+from app.api import live as live_api
 from app.api import virtual as virtual_api
 from app.db.migrate import migrate
 from app.db.session import make_engine
+from app.live import hub as live_hub
 from app.pages import PAGES
 from app.sandbox import cache as sandbox_cache
 from app.scene import api as scene_api
@@ -52,6 +54,7 @@ API_ROUTERS: tuple[APIRouter, ...] = (  # under /api/v1
     diagnoses.router,
     sandbox.router,
     job_api.router,
+    live_api.router,
     virtual_api.router,
 )
 PAGE_ROUTERS: tuple[APIRouter, ...] = (login.router, proxy.router, *PAGES.values())  # at the root
@@ -62,6 +65,7 @@ SERVICES: tuple[Callable[[FastAPI], AbstractAsyncContextManager[None]], ...] = (
     examples.service,
     source.service,
     sandbox_cache.service,
+    live_hub.service,
     virtual_robot.service,
 )
 
