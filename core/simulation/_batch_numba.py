@@ -12,7 +12,7 @@ import numpy.typing as npt
 from numba import njit, prange
 
 from core.simulation._drive_numba import compiled
-from core.simulation._rollout_numba import EDGE, NODE, rollout
+from core.simulation._rollout_numba import EDGE, NODE, STATE, rollout
 from core.simulation._sense_numba import path_edges, sense_beacon, sense_imu, sense_pose, sense_ranges, sense_wheels
 
 Array = npt.NDArray[np.float64]
@@ -102,7 +102,7 @@ def _entry_points(
         step: int,
     ) -> None:
         nodes = np.empty((capacity, NODE))
-        edges = np.empty((inputs.grid.shape[0], EDGE))
+        edges, scratch = np.empty((inputs.grid.shape[0], EDGE)), np.empty((2, STATE))
         for b in range(first, sets.shape[0], step):
             status[b] = digest and rollout(
                 sets[b],
@@ -116,6 +116,7 @@ def _entry_points(
                 ends[b],
                 nodes,
                 edges,
+                scratch,
             )
             if status[b] >= 0:
                 sense(sets[b], nodes, status[b], edges, inputs, out, b)
@@ -141,6 +142,7 @@ def _entry_points(
             end,
             nodes,
             edges,
+            np.empty((2, STATE)),
         )
 
     @njit(cache=True, nogil=True, error_model="numpy")

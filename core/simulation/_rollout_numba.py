@@ -37,8 +37,9 @@ JUMP = 1e-9
 (T, X, Y, TH, V, VY, W, XD, YD, PL, PR, SL, SR, TURN, WV, WVY, WW, CC, SS) = range(19)
 NODE = 19
 # What the rollout carries beside: heading's cosine and sine, lag and limit state of each wheel, inside a slip patch,
-# and when its edge was last crossed.
-(COS, SIN, YL, YR, ZL, ZR, INSIDE, CROSSED) = range(19, 27)
+# and when its edge was last crossed; the battery's sag and when it was last worked out.
+(COS, SIN, YL, YR, ZL, ZR, INSIDE, CROSSED, SAG, SAGGED) = range(19, 29)
+STATE = 29
 # Columns of an IMU window edge: the same quantities at the edge.
 EDGE_TURN, EDGE_V, EDGE_VY, EDGE_W, EDGE_WV, EDGE_WVY, EDGE_WW, EDGE_CC, EDGE_SS = range(9)
 EDGE = 9
@@ -232,14 +233,15 @@ def advance(
 
 @compiled
 def edges_within(
-    par: Array, state: Array, left: Piece, right: Piece, h: float, grid: Array, g: int, edges: Array
+    par: Array, state: Array, then: Array, left: Piece, right: Piece, h: float, grid: Array, g: int, edges: Array
 ) -> int:
     """Rows of the window edges inside a piece (not at its end), by as many shorter pieces. Returns the next g."""
     while g < grid.shape[0] and edge_at(par, grid, g) < state[T] + h - SAME:
         s = edge_at(par, grid, g) - state[T]
         half = np.exp(-0.5 * s * par[P.ITAU])
         moved, _, end, sums = body(left, right, s, half, state[T], state[INSIDE] != 0.0, par)
-        then = state.copy()
+        for i in range(STATE):
+            then[i] = state[i]
         advance(then, moved, end, sums)
         put_edge(edges, g, then)
         g += 1
@@ -250,6 +252,7 @@ def edges_within(
 def piece(
     par: Array,
     state: Array,
+    then: Array,
     nodes: Array,
     n: int,
     to: float,
@@ -264,8 +267,9 @@ def piece(
     h = to - t
     sag, fade = 1.0, 0.0
     if par[P.SAG] != 0.0:
-        sag = np.exp(-par[P.SAG] * t)
-        fade = (np.exp(-par[P.SAG] * to) - sag) / h
+        sag = state[SAG] if state[SAGGED] == t else np.exp(-par[P.SAG] * t)
+        state[SAG], state[SAGGED] = np.exp(-par[P.SAG] * to), to
+        fade = (state[SAG] - sag) / h
     half = halved(h, 0.0, 1.0, par[P.ITAU])
     h, half, lag_l, limited_l, rim_l = wheel(left, h, half, sag, fade, state[YL], state[ZL], par)
     h, half, lag_r, limited_r, rim_r = wheel(right, h, half, sag, fade, state[YR], state[ZR], par)
@@ -285,7 +289,7 @@ def piece(
         put_speeds(state, start)
         state[SL], state[SR] = sl, sr
         n = put_node(nodes, n, state)
-    g = edges_within(par, state, rim_l, rim_r, h, grid, g, edges)
+    g = edges_within(par, state, then, rim_l, rim_r, h, grid, g, edges)
     advance(state, moved, end, sums)
     state[SL], way_l = end_of(rim_l, h, half, par)
     state[SR], way_r = end_of(rim_r, h, half, par)
@@ -332,16 +336,19 @@ def rollout(
     t_end: float,
     nodes: Array,
     edges: Array,
+    scratch: Array,
 ) -> int:
     """Drive and body from rest at `begin` to t_end.
 
     par: packed parameters. times (C,): command stamps; left, right (C, 2): rim set-points [m/s] and their slopes to
     the next. cuts (M,): instants to cut at, whatever the parameters are. grid (G,): IMU window edges, in the IMU's
-    stamps. restarts (K, 4): t, x, y, theta at which the pose is set anew. Fills nodes (cap, NODE) and edges (G, EDGE);
-    returns the number of nodes, or -1 if `nodes` is too short.
+    stamps. restarts (K, 4): t, x, y, theta at which the pose is set anew. scratch (2, STATE): room to work in.
+    Fills nodes (cap, NODE) and edges (G, EDGE); returns the number of nodes, or -1 if `nodes` is too short.
     """
-    state = np.zeros(NODE + 8)
-    state[CROSSED] = -np.inf
+    state, then = scratch[0], scratch[1]
+    for i in range(STATE):
+        state[i] = 0.0
+    state[CROSSED] = state[SAGGED] = -np.inf
     g = at_rest(par, begin, grid, nodes, edges, state)
     n, j, k, m = 2, -1, 0, 0
     while state[T] < t_end - SAME:
@@ -358,7 +365,7 @@ def rollout(
             m += 1
         to = target(par, t, t_end, times, j, cuts, m, restarts, k)
         u, v = command(times, left, j, t - par[P.DELAY]), command(times, right, j, t - par[P.DELAY])
-        n, g = piece(par, state, nodes, n, to, u, v, grid, g, edges)
+        n, g = piece(par, state, then, nodes, n, to, u, v, grid, g, edges)
         while g < grid.shape[0] and edge_at(par, grid, g) <= state[T] + SAME:
             put_edge(edges, g, state)
             g += 1
