@@ -44,8 +44,7 @@ async def _watch(app: FastAPI, robot: VirtualRobot) -> None:
     seen = time.monotonic()
     while True:
         await asyncio.sleep(CHECK_S)
-        hub = getattr(app.state, "live", None)
-        watched = any(one["robot"] == NAME and one["viewers"] for one in (hub.robots() if hub else ()))
+        watched = any(one["robot"] == NAME and one["viewers"] for one in app.state.live.robots())
         if watched or not robot.running:
             seen = time.monotonic()
         elif time.monotonic() - seen > IDLE_S:
@@ -77,7 +76,7 @@ class VirtualRobot:
         with self._lock:
             if self.running:
                 return
-            command = [sys.executable, "-m", "app.virtual_robot", "robot", "--to", self.address, "--name", NAME]
+            command = [sys.executable, "-m", "app.virtual_child", "robot", "--to", self.address, "--name", NAME]
             token = {"DRIFTSCOPE_TOKEN": self._settings.token} if self._settings.token else {}
             paths = os.pathsep.join([str(Path(__file__).resolve().parents[1]), os.environ.get("PYTHONPATH", "")])
             environment = {**os.environ, **token, "PYTHONPATH": paths.rstrip(os.pathsep)}
@@ -97,16 +96,3 @@ class VirtualRobot:
         except subprocess.TimeoutExpired:
             child.kill()
             child.wait()
-
-
-def _leave_with(parent: int) -> None:
-    while os.getppid() == parent:
-        time.sleep(1.0)
-    os._exit(0)
-
-
-if __name__ == "__main__":  # the child: the command line, but no longer than the server lives
-    from app.cli import main
-
-    threading.Thread(target=_leave_with, args=(os.getppid(),), daemon=True).start()
-    sys.exit(main(sys.argv[1:]))

@@ -21,6 +21,8 @@ HERE = Path(__file__).parent
 PAGES: dict[str, str] = {
     "start": "Start here",
     "pages": "The pages and their keys",
+    "monitor": "Live: watching and driving a robot",
+    "ros": "ROS 2 into the dashboard, without ROS",
     "methods": "Methods: where each path comes from",
     "published": "The published system, as we read it",
     "imu": "Gyro: noise and bias",

@@ -37,7 +37,7 @@ def sentence(robots: list[dict[str, Any]]) -> str:
 
 
 @route(router, "/live")
-def live(request: Request) -> Response:
+async def live(request: Request) -> Response:
     robots = listed(request)
     can_start = request.app.state.virtual_robot.available
     page = LivePage("Live", sentence(robots), robots, can_start, str(request.base_url).rstrip("/"))
@@ -45,6 +45,5 @@ def live(request: Request) -> Response:
 
 
 def listed(request: Request) -> list[dict[str, Any]]:
-    """The connected robots, plain."""
-    hub = getattr(request.app.state, "live", None)
-    return [dict(robot) for robot in hub.robots()] if hub else []
+    """The connected robots, plain; on the event loop."""
+    return [dict(robot) for robot in request.app.state.live.robots()]

@@ -27,7 +27,7 @@ class MonitorPage(Page):
 
 
 @route(router, "/live/{robot}")
-def monitor(request: Request, robot: Robot) -> Response:
+async def monitor(request: Request, robot: Robot) -> Response:
     found = next((one for one in listed(request) if one["robot"] == robot), None)
     waiting = f"No robot called {robot} is connected. This page begins by itself when it is."
     told = sentence([found]) if found else waiting

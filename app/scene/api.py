@@ -24,7 +24,9 @@ if TYPE_CHECKING:
 router = APIRouter(tags=["scenes"])
 
 ViewerQuery = Annotated[str, Query(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
-OverlayName = Annotated[Literal["path", "gap", "patched"], Query(description="which of the viewer's overlays")]
+OverlayName = Annotated[
+    Literal["path", "gap", "simulated", "patched"], Query(description="which of the viewer's overlays")
+]
 MAX_MESSAGE = 4096
 MAX_OVERLAY = 5000
 Finite = Annotated[float, Field(allow_inf_nan=False, ge=-1e7, le=1e7)]

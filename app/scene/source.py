@@ -28,8 +28,8 @@ async def service(app: FastAPI) -> AsyncIterator[None]:
     engine, settings = app.state.engine, app.state.settings
 
     def feed(run_id: str) -> Feed | None:
-        hub = getattr(app.state, "live", None)
-        return hub.feed(run_id) if hub else None
+        found: Feed | None = app.state.live.feed(run_id)
+        return found
 
     app.state.scenes = Scenes(
         lambda run: load(engine, settings, run),

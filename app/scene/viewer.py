@@ -23,7 +23,7 @@ from app.scene.panel import Panel
 from app.scene.style import GAP, THEMES, primary, slug
 
 TICK = 1 / 30  # s
-OVERLAY = (124, 91, 176)
+OVERLAY, SIMULATED = (124, 91, 176), (128, 138, 148)
 Listener = Callable[[dict[str, Any]], None]
 
 
@@ -157,16 +157,16 @@ class Client:
         """Paths that are not stored, as a page lays them in; those of the same name go."""
         scene = self.handle.scene
         for name, overlay in overlays.items():
-            layer = len(self._data.paths) + (0.5 if overlay.levels is not None else 1.0)
+            layer = len(self._data.paths) + (1.0 if overlay.levels is not None else 4.0)
             points = np.column_stack((overlay.x, overlay.y, np.full(len(overlay.x), self._sizes.level(layer))))
             pieces = np.stack((points[:-1], points[1:]), axis=1)
-            colours: Any = OVERLAY
+            colours: Any = SIMULATED if name == "simulated" else OVERLAY
             if overlay.levels is not None:
                 colours = np.repeat(np.array(GAP, np.uint8)[overlay.levels[1:]][:, None], 2, axis=1)
             width = 3.0 if overlay.levels is None else 6.0
             node = f"/world/overlay/{name}"
             scene.add_line_segments(f"{node}/path", pieces, colours, thickness=width, thickness_units="screen")
-            if overlay.levels is None and name not in self._pucks:
+            if overlay.levels is None and name != "simulated" and name not in self._pucks:
                 size = (self._data.robot.track_width or DEFAULT_TRACK_WIDTH) * self._sizes.robot_scale
                 self._pucks[name] = scene.add_cylinder(
                     f"{node}/now", radius=0.35 * size, height=0.3 * size, color=OVERLAY, cast_shadow=False

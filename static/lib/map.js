@@ -50,6 +50,7 @@ export function createMap(host, { clock, subject = "", fileName = "path", layers
   let lead = null;
   let fitted = true; // the user has not moved the view: new paths and sizes fit again
   let dirty = 0; // 1: cursor layer, 2: everything
+  let asked = 0; // the animation frame asked for
   let under = null; // {path, index} below the pointer
   let placed = []; // events as they stand on the screen
 
@@ -70,11 +71,12 @@ export function createMap(host, { clock, subject = "", fileName = "path", layers
       visible.set(method, on);
       redraw(2);
     },
-    // The view widens in steps, not with every pose.
+    // The view widens in steps, not with every pose. Painted at once: who calls this is in an animation frame.
     grown() {
       const box = fitted && bounds(map.shown.length ? map.shown : paths, beacons);
       if (box && !view.holds(box)) view.fit(roomier(box));
-      redraw(2);
+      dirty = 2;
+      paint();
     },
     setEvents(method, list) {
       events = { method, list };
@@ -106,12 +108,13 @@ export function createMap(host, { clock, subject = "", fileName = "path", layers
   };
 
   function redraw(layer) {
-    if (!dirty) requestAnimationFrame(paint);
+    if (!asked) asked = requestAnimationFrame(() => ((asked = 0), paint()));
     dirty = Math.max(dirty, layer);
   }
 
   function paint() {
-    const all = dirty === 2 || follow();
+    if (!dirty) return; // painted before its turn
+    const all = [follow(), dirty === 2].some(Boolean);
     dirty = 0;
     if (all) paintOn(prepare(base), paintBase);
     paintOn(prepare(top), paintTop);
@@ -163,7 +166,7 @@ export function createMap(host, { clock, subject = "", fileName = "path", layers
     const moments = clock.hover === null ? [[clock.time, false]] : [[clock.time, true], [clock.hover, false]];
     for (const [time, ghost] of moments) {
       for (const path of map.shown) {
-        const pose = path.dots ? null : poseAt(path, time);
+        const pose = path.dots || path.robot === false ? null : poseAt(path, time);
         if (!pose) continue;
         if (!ghost) draw.drawEllipse(ctx, view, path, pose, draw.SIGMAS_95, 0.14);
         draw.drawRobot(ctx, view, path, pose, ghost);

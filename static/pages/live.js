@@ -56,7 +56,7 @@ async function ask() {
   if (!document.hidden) {
     try {
       const answer = await api("live");
-      robots = answer.robots ?? answer.items ?? answer;
+      robots = answer.items;
       $("#problem").replaceChildren();
       $("#verdict").textContent = tell();
       if (!$("#table").matches(":hover")) paint(); // nothing moves under a pointer that is about to click

@@ -17,7 +17,7 @@ export function mountDrive(host, { send, remember }) {
   const held = new Set();
   const stick = { v: 0, w: 0, pointer: null };
   const wanted = { v: 0, w: 0 }; // shares of the limits, -1 to 1
-  let driver = { who: null, you: false, asked: false };
+  let driver = { who: null, you: false };
   let off = "Connecting …"; // why driving is off, null where it is on
   let limits = { v: 0.5, w: 1.5 };
   let goodbyes = 0;
@@ -77,7 +77,7 @@ export function mountDrive(host, { send, remember }) {
 
   function scaleSlider(axis) {
     const kept = remember(axis);
-    if (kept) parts[axis].slider.value = String(Math.round((100 * Math.min(kept, limits[axis])) / limits[axis]));
+    if (kept && limits[axis]) parts[axis].slider.value = String(Math.round((100 * Math.min(kept, limits[axis])) / limits[axis]));
   }
 
   function paint() {
@@ -88,8 +88,7 @@ export function mountDrive(host, { send, remember }) {
     parts.reason.textContent = off ?? "";
     parts.who.textContent = driver.you ? "You drive" : driver.who ? `${driver.who} drives` : can ? "Nobody drives" : "Control";
     parts.seat.hidden = !can;
-    parts.seat.disabled = driver.asked;
-    parts.seat.textContent = driver.you ? "Let go" : driver.asked ? "Asked …" : driver.who ? "Ask to drive" : "Drive";
+    parts.seat.textContent = driver.you ? "Let go" : driver.who ? "Take over" : "Drive";
     parts.pad.setAttribute("aria-disabled", String(!can));
     for (const axis of ["v", "w"]) parts[axis].slider.disabled = !can;
     parts.v.value.textContent = `${number(chosen("v"), 2)} m/s`;
@@ -176,10 +175,7 @@ export function mountDrive(host, { send, remember }) {
       send({ type: "drive_release" });
       return;
     }
-    driver.asked = Boolean(driver.who);
-    send({ type: "drive_request" });
-    paint();
-    setTimeout(() => ((driver.asked = false), paint()), 10_000);
+    send({ type: "drive_request", take_over: Boolean(driver.who) });
   }
 
   // ---- pointer and keys
