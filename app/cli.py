@@ -16,6 +16,7 @@ from app.cli_calibrate import add_commands as add_calibrate_commands
 from app.cli_firmware import add_commands as add_firmware_commands
 from app.cli_gap import add_commands as add_gap_commands
 from app.cli_imu import add_commands as add_imu_commands
+from app.cli_live import add_commands as add_live_commands
 from app.cli_simulate import add_commands as add_simulate_commands
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def parser() -> argparse.ArgumentParser:
     serve.add_argument("--port", type=_port, help="port to listen on (default 8000; 0 takes a free one)")
     serve.add_argument("--data", type=Path, help="data folder (default data)")
     serve.add_argument("--demo", action="store_true", default=None, help="also load the example runs")
-    serve.add_argument("--drive", action="store_true", default=None, help="let real robots be driven from the dashboard")
+    serve.add_argument("--drive", action="store_true", default=None, help="let real robots be driven")
     serve.set_defaults(run=_serve)
 
     store = commands.add_parser("import", help="store runs; prints their ids")
@@ -68,6 +69,7 @@ def parser() -> argparse.ArgumentParser:
     add_calibrate_commands(commands, RUN_HELP)
     add_firmware_commands(commands)
     add_gap_commands(commands, RUN_HELP)
+    add_live_commands(commands, RUN_HELP)
     return top
 
 
