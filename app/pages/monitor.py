@@ -9,6 +9,7 @@ from fastapi import APIRouter, Path, Request, Response
 
 from app.pages.base import Page, render, route
 from app.pages.live import listed, sentence
+from app.virtual_robot import NAME
 
 router = APIRouter()
 Robot = Annotated[str, Path(pattern=r"^[A-Za-z0-9._-]{1,64}$")]
@@ -24,6 +25,7 @@ class MonitorPage(Page):
     robot: str
     live: dict[str, Any] | None
     feed: str
+    can_start: bool  # this server's own robot, which it can start
 
 
 @route(router, "/live/{robot}")
@@ -31,4 +33,5 @@ async def monitor(request: Request, robot: Robot) -> Response:
     found = next((one for one in listed(request) if one["robot"] == robot), None)
     waiting = f"No robot called {robot} is connected. This page begins by itself when it is."
     told = sentence([found]) if found else waiting
-    return render(request, MonitorPage(robot, told, robot, found, f"/api/v1/live/{robot}/watch"))
+    mine = robot == NAME and request.app.state.virtual_robot.available
+    return render(request, MonitorPage(robot, told, robot, found, f"/api/v1/live/{robot}/watch", mine))

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from fastapi import APIRouter, Request, Response
+from fastapi.responses import RedirectResponse
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
@@ -14,7 +15,7 @@ from app.db.session import reading
 from app.db.tables import Estimate, Run
 from app.figures.verdict import Case, Judged, events_of, lead_of, verdict
 from app.pages.base import Page, render, route
-from app.store import arrays, events, results, runs
+from app.store import arrays, events, live, results, runs
 from app.store import jobs as job_store
 from core.estimation.pipeline import METHODS, available
 from core.sensors import STREAMS
@@ -54,6 +55,8 @@ class RunPage(Page):
 def run_page(request: Request, run_id: str) -> Response:
     settings = request.app.state.settings
     with reading(request.app.state.engine) as session:
+        if (stored := live.became(session, run_id)) is not None:
+            return RedirectResponse(request.url.path.replace(run_id, stored), 307)
         row = runs.get_run(session, run_id)
         estimates = list(results.latest_by_method(session, run_id).values())
         jobs = [job_store.as_dict(j) for j in job_store.list_jobs(session, run_id=run_id, limit=5)]
@@ -63,7 +66,7 @@ def run_page(request: Request, run_id: str) -> Response:
         speaks = events_of(case.estimates)
         page = RunPage(
             title=row.name,
-            sentence=verdict(case),
+            sentence=_so_far(row) if row.is_live else verdict(case),
             run=_run(row),
             estimates=[_estimate(e, found[e.method]) for e in estimates],
             methods=[_method(name, reason) for name, reason in reasons.items()],
@@ -74,6 +77,11 @@ def run_page(request: Request, run_id: str) -> Response:
             exports=_exports(row),
         )
     return render(request, page)
+
+
+def _so_far(row: Run) -> str:
+    streams = sum(s.rows > 0 for s in row.streams)
+    return f"This run is still going on: {row.duration_s:.0f} s of {streams} streams so far."
 
 
 def _case(
@@ -112,6 +120,7 @@ def _run(row: Run) -> dict[str, Any]:
         "robot": row.robot.name if row.robot else None,
         "created_at": row.created_at.isoformat(),
         "is_example": row.is_example,
+        "is_live": row.is_live,
         "tags": [t.tag for t in row.tags],
         "streams": [_stream(s) for s in row.streams],
     }

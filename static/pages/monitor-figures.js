@@ -66,6 +66,8 @@ const LINK_TERMS = { "commands to wheels": "live_link_wheels", "wheels to gyro":
 
 export function mountLinks(host) {
   const rows = new Map();
+  const waiting = h("p", { class: "dim" }, "Told once a few seconds have been estimated.");
+  host.replaceChildren(waiting);
 
   function rowOf(link) {
     if (rows.has(link)) return rows.get(link);
@@ -75,6 +77,7 @@ export function mountLinks(host) {
     const value = h("output", { class: "link-value" }, NONE);
     const said = h("span", { class: "link-said" });
     const bar = h("div", { class: "link-bar", role: "meter", "aria-label": link, "aria-valuemin": "0" }, fill, floor, level);
+    waiting.remove();
     const root = h("div", { class: "link", "data-link": link }, h("span", { class: "link-name", "data-term": LINK_TERMS[link] ?? "live_link", tabindex: "0" }, link.replace(" to ", " → ")), said, value, bar);
     host.append(root);
     rows.set(link, { root, fill, level, bar, value, said });

@@ -1,5 +1,6 @@
 // The monitor of one robot: the feed comes in, is put where it belongs, and is drawn once per animation frame.
 
+import { api, problemNote } from "../lib/api.js";
 import { $, h, pageData } from "../lib/dom.js";
 import { duration } from "../lib/format.js";
 import { keys } from "../lib/keys.js";
@@ -63,7 +64,8 @@ function snapshot(m) {
   signals.restart(m);
   drivers(m.driver);
   if (m.state !== "waiting" && m.state !== "ended" && !(again && scene)) openScene();
-  $("#ended").hidden = m.state !== "ended";
+  if (m.state === "waiting" || m.state === "ended") offer();
+  else $("#ended").hidden = true;
   root.dataset.run = m.run_id ?? "";
   [figuresAt, sentenceAt] = [0, 0];
 }
@@ -99,11 +101,28 @@ function gone(m) {
   run.state = "ended";
   drive.setOff("This run has ended.");
   const id = m.stored_as ?? m.run_id;
-  $("#ended").hidden = false;
-  $("#ended").replaceChildren(h("span", {}, m.stored_as ? "The run has ended and is stored. " : "The run has ended and is being stored. "), m.stored_as && h("a", { href: `/runs/${id}` }, "Open the stored run"), h("span", { class: "dim" }, " When the robot starts another run, it appears here."));
+  offer(m.stored_as ? h("span", {}, "The run has ended and is stored. ", h("a", { href: `/runs/${id}` }, "Open the stored run"), " ") : "The run has ended and is being stored. ");
   root.dataset.stored = m.stored_as ?? "";
   if (m.stored_as) $("#run-link").href = `/runs/${id}`;
   sentenceAt = 0;
+}
+
+// This server's own robot can be started from here; any other comes by itself.
+function offer(...told) {
+  const note = $("#ended");
+  const button = h("button", { class: "button primary", id: "start", type: "button", onclick: start }, "Start the virtual robot");
+  note.replaceChildren(...told, page.can_start ? button : h("span", { class: "dim" }, "When the robot starts a run, it appears here."));
+  note.hidden = false;
+}
+
+async function start(event) {
+  event.currentTarget.disabled = true;
+  event.currentTarget.textContent = "Starting …";
+  try {
+    await api("live/virtual", { method: "POST" });
+  } catch (error) {
+    $("#ended").replaceChildren(problemNote(error));
+  }
 }
 
 function drivers(m) {

@@ -67,6 +67,7 @@ function mountPath(host) {
 
 // No estimate: being made, not possible (and why, method by method), or not asked for yet.
 function nothing() {
+  if (run.is_live) return calm("Still going on", h("p", {}, "The paths so far are on the monitor; here they appear, smoothed too, once the run has ended. The signals can be looked at meanwhile."), h("p", {}, h("a", { class: "button", href: `/live/${encodeURIComponent(run.robot)}` }, "Watch it live")));
   const job = data.jobs.find((j) => j.kind === "estimate");
   if (job?.state === "queued" || job?.state === "running") return calm("Being estimated", h("p", {}, "Paths, errors and metrics appear here when they are done. The signals can be looked at meanwhile."));
   const reasons = data.methods.filter((m) => m.reason);

@@ -16,7 +16,7 @@ export const COLUMNS = [
   { key: "streams", label: "Streams", term: "streams", cell: (run) => streamChips(run.streams) },
   { key: "best", label: "Best error", term: "best_error", sort: "best_ate_m", num: true, cell: bestCell },
   { key: "bias", label: "Bias drift", term: "bias_drift", sort: "bias_drift_rad_s", num: true, cell: (run) => show(bias(run.bias_drift_rad_s)) },
-  { key: "verdict", label: "Verdict", term: "verdict", sort: "verdict", cell: (run) => (run.verdict ? h("span", { class: "chip" }, run.verdict) : "") },
+  { key: "verdict", label: "Verdict", term: "verdict", sort: "verdict", cell: (run) => (run.verdict ? h("span", { class: "chip", "data-verdict": run.verdict }, run.verdict === "none" ? "no gap" : run.verdict.replace("partly_", "partly ")) : "") },
 ];
 
 function selectCell(run, table) {
@@ -45,7 +45,7 @@ export function sparkline(points, width = 56, height = 32) {
 function nameCell(run, table) {
   const add = h("button", { class: "tag-add", type: "button", "aria-label": `Edit tags of ${run.name}`, onclick: () => table.editTags(run.id) }, icon("tag"));
   return [
-    h("div", { class: "run-name" }, h("a", { class: "clip", href: `/runs/${run.id}` }, run.name), run.is_example && h("span", { class: "chip absent" }, "example"), warningMark(run)),
+    h("div", { class: "run-name" }, h("a", { class: "clip", href: `/runs/${run.id}` }, run.name), run.is_live && h("a", { class: "chip green live-chip", href: `/live/${encodeURIComponent(run.robot)}`, "data-hint": "A robot still streams it. Click: its monitor." }, "● live"), run.is_example && h("span", { class: "chip absent" }, "example"), warningMark(run)),
     table.editing === run.id ? tagEditor(run, table) : h("div", { class: "run-sub" }, run.robot && h("button", { class: "run-robot clip", type: "button", onclick: () => table.filter("robot", run.robot) }, run.robot), run.tags.map((t) => h("button", { class: "chip tag", type: "button", onclick: () => table.filter("tag", t) }, t)), add),
   ];
 }
