@@ -102,7 +102,7 @@ def _entry_points(
         step: int,
     ) -> None:
         nodes = np.empty((capacity, NODE))
-        edges, scratch = np.empty((inputs.grid.shape[0], EDGE)), np.empty((2, STATE))
+        edges, state = np.empty((inputs.grid.shape[0], EDGE)), np.empty(STATE)
         for b in range(first, sets.shape[0], step):
             status[b] = digest and rollout(
                 sets[b],
@@ -116,7 +116,7 @@ def _entry_points(
                 ends[b],
                 nodes,
                 edges,
-                scratch,
+                state,
             )
             if status[b] >= 0:
                 sense(sets[b], nodes, status[b], edges, inputs, out, b)
@@ -142,7 +142,7 @@ def _entry_points(
             end,
             nodes,
             edges,
-            np.empty((2, STATE)),
+            np.empty(STATE),
         )
 
     @njit(cache=True, nogil=True, error_model="numpy")

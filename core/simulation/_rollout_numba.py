@@ -233,17 +233,20 @@ def advance(
 
 @compiled
 def edges_within(
-    par: Array, state: Array, then: Array, left: Piece, right: Piece, h: float, grid: Array, g: int, edges: Array
+    par: Array, state: Array, left: Piece, right: Piece, h: float, grid: Array, g: int, edges: Array
 ) -> int:
     """Rows of the window edges inside a piece (not at its end), by as many shorter pieces. Returns the next g."""
+    c, s = state[COS], state[SIN]
     while g < grid.shape[0] and edge_at(par, grid, g) < state[T] + h - SAME:
-        s = edge_at(par, grid, g) - state[T]
-        half = np.exp(-0.5 * s * par[P.ITAU])
-        moved, _, end, sums = body(left, right, s, half, state[T], state[INSIDE] != 0.0, par)
-        for i in range(STATE):
-            then[i] = state[i]
-        advance(then, moved, end, sums)
-        put_edge(edges, g, then)
+        d = edge_at(par, grid, g) - state[T]
+        half = np.exp(-0.5 * d * par[P.ITAU]) if par[P.ITAU] != 0.0 else 1.0
+        moved, _, end, sums = body(left, right, d, half, state[T], state[INSIDE] != 0.0, par)
+        row = edges[g]
+        row[EDGE_TURN] = state[TURN] + moved[2]
+        row[EDGE_V], row[EDGE_VY], row[EDGE_W] = end
+        row[EDGE_WV], row[EDGE_WVY], row[EDGE_WW] = state[WV] + sums[0], state[WVY] + sums[1], state[WW] + sums[2]
+        row[EDGE_CC] = state[CC] + (c * sums[3] - s * sums[4])
+        row[EDGE_SS] = state[SS] + (s * sums[3] + c * sums[4])
         g += 1
     return g
 
@@ -252,7 +255,6 @@ def edges_within(
 def piece(
     par: Array,
     state: Array,
-    then: Array,
     nodes: Array,
     n: int,
     to: float,
@@ -289,7 +291,7 @@ def piece(
         put_speeds(state, start)
         state[SL], state[SR] = sl, sr
         n = put_node(nodes, n, state)
-    g = edges_within(par, state, then, rim_l, rim_r, h, grid, g, edges)
+    g = edges_within(par, state, rim_l, rim_r, h, grid, g, edges)
     advance(state, moved, end, sums)
     state[SL], way_l = end_of(rim_l, h, half, par)
     state[SR], way_r = end_of(rim_r, h, half, par)
@@ -336,16 +338,15 @@ def rollout(
     t_end: float,
     nodes: Array,
     edges: Array,
-    scratch: Array,
+    state: Array,
 ) -> int:
     """Drive and body from rest at `begin` to t_end.
 
     par: packed parameters. times (C,): command stamps; left, right (C, 2): rim set-points [m/s] and their slopes to
     the next. cuts (M,): instants to cut at, whatever the parameters are. grid (G,): IMU window edges, in the IMU's
-    stamps. restarts (K, 4): t, x, y, theta at which the pose is set anew. scratch (2, STATE): room to work in.
+    stamps. restarts (K, 4): t, x, y, theta at which the pose is set anew. state (STATE,): room to work in.
     Fills nodes (cap, NODE) and edges (G, EDGE); returns the number of nodes, or -1 if `nodes` is too short.
     """
-    state, then = scratch[0], scratch[1]
     for i in range(STATE):
         state[i] = 0.0
     state[CROSSED] = state[SAGGED] = -np.inf
@@ -365,7 +366,7 @@ def rollout(
             m += 1
         to = target(par, t, t_end, times, j, cuts, m, restarts, k)
         u, v = command(times, left, j, t - par[P.DELAY]), command(times, right, j, t - par[P.DELAY])
-        n, g = piece(par, state, then, nodes, n, to, u, v, grid, g, edges)
+        n, g = piece(par, state, nodes, n, to, u, v, grid, g, edges)
         while g < grid.shape[0] and edge_at(par, grid, g) <= state[T] + SAME:
             put_edge(edges, g, state)
             g += 1

@@ -1,7 +1,7 @@
 """Speed of the simulator: steps a second for the full chain, all effects compiled in. A step is one IMU sample.
 
 Times of one core are that thread's own, so that others on the machine disturb them less; those of all cores are the
-clock's.
+clock's. MuJoCo drives the same run with the same robot (the MJCF export), one core each, physics alone.
 """
 
 from __future__ import annotations
@@ -9,10 +9,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+import mujoco
 import numpy as np
+from mujoco.rollout import rollout
 from numba import get_num_threads
 
+from app.examples.mujoco_robot import model_of, set_points
 from core.robot import EffectSet
+from core.run import Run
 from core.simulation import params as P
 from core.simulation import simulate, simulate_many, warm
 from core.simulation.inputs import prepare
@@ -37,11 +41,40 @@ ALL_OF_THE_PLANT: EffectSet = {
     "floor_tilt": {"slope_x": 0.01},
     "gyro_drift": {"amplitude": 0.01, "tau": 60.0},
 }
+ALL: EffectSet = {
+    **ALL_OF_THE_PLANT,
+    "gyro_bias": {"bias": 0.004},
+    "gyro_walk": {"density": 1e-4},
+    "gyro_temperature": {"slope": 1e-4},
+    "gyro_scale": {"scale": 1.01},
+    "gyro_noise": {"factor": 2.0},
+    "gyro_clip": {"limit": 1.0},
+    "gyro_g_sensitivity": {"k": 1e-3},
+    "accel_bias": {"x": 0.05, "y": -0.05},
+    "accel_scale": {"x": 1.02, "y": 0.98},
+    "imu_yaw": {"angle": 0.02},
+    "imu_offset": {"x": 0.03, "y": 0.01},
+    "vibration": {"k": 0.1},
+    "missed_ticks": {"left": 0.01, "right": 0.0},
+    "beacon_delay": {"delay": 0.1},
+    "beacon_shift": {"x": 0.1, "y": 0.1},
+    "beacon_rotation": {"angle": 0.02},
+    "beacon_scale": {"scale": 1.01},
+    "tag_offset": {"x": 0.02, "y": 0.02},
+    "beacon_noise": {"factor": 2.0},
+    "beacon_outliers": {"rate": 0.05, "size": 0.5},
+    "beacon_shadow": {"x": 4.0, "y": 4.0, "radius": 0.5},
+    "anchor_moved": {"beacon": "B1", "x": 0.2, "y": 0.0},
+    "range_bias": {"bias": 0.1},
+    "imu_clock": {"offset": 0.004},
+    "clock_drift": {"skew": 1e-4},
+}
 CASES: dict[str, EffectSet] = {
     "nominal": {},
     "motor lag": {"motor_lag": {"tau": 0.08}},
     "track width + gyro drift": {"track_width": {"scale": 1.02}, "gyro_drift": {"amplitude": 0.01, "tau": 60.0}},
     "16 plant and IMU effects at once": ALL_OF_THE_PLANT,
+    "all 41 effects at once": ALL,
 }
 
 
@@ -53,6 +86,31 @@ def best(work: Callable[[], object], clock: Callable[[], float], repeats: int = 
         work()
         times.append(clock() - t)
     return min(times)
+
+
+def mujoco_seconds(run: Run, step: float) -> float:
+    """One core's time for MuJoCo's rollout of the run's robot under its commands, nothing read but its sensors [s]."""
+    model = model_of(run, {})
+    model.opt.timestep = step
+    data, full = mujoco.MjData(model), mujoco.mjtState.mjSTATE_FULLPHYSICS
+    state = np.empty(mujoco.mj_stateSize(model, full))
+    mujoco.mj_getState(model, data, state, full)
+    control = set_points(run, np.arange(0.0, run.duration, step))[None]
+    return best(lambda: rollout(model, data, state[None], control), time.thread_time, 3)
+
+
+def against_mujoco(run: Run) -> None:
+    """The same run by both, seconds of driving a second."""
+    inputs, sets = prepare(run), P.pack(run.meta, {})[None]
+    every = P.pack(run.meta, ALL_OF_THE_PLANT)[None]
+    ours = best(lambda: simulate_sets(inputs, sets, parallel=False), time.thread_time, 50)
+    full = best(lambda: simulate_sets(inputs, every, parallel=False), time.thread_time, 50)
+    for step in (0.002, 0.001):
+        theirs = mujoco_seconds(run, step)
+        print(
+            f"  MuJoCo, steps of {1e3 * step:.0f} ms: {run.duration / theirs:.0f} s of driving a second, ours"
+            f" {run.duration / ours:.0f} ({theirs / ours:.0f} times as fast; with 16 effects {theirs / full:.0f} times)"
+        )
 
 
 def main() -> None:
@@ -75,6 +133,7 @@ def main() -> None:
     sets20: list[EffectSet] = [{"track_width": {"scale": 1.0 + 1e-3 * i}} for i in range(20)]
     print(f"  20 effect sets as one call: {1e3 * best(lambda: simulate_many(run, sets20), time.perf_counter):.0f} ms")
     print(f"  one run with noise: {1e3 * best(lambda: simulate(run, ALL_OF_THE_PLANT, 1), time.perf_counter):.0f} ms")
+    against_mujoco(run)
 
 
 if __name__ == "__main__":
