@@ -27,11 +27,11 @@ class Assumptions:
     bias_walk: float = 1e-5  # rad/s/sqrt(s), its random walk
     gyro_scale_sd: float = 0.005  # relative
     quantum: float = 0.01  # rad, one encoder step where ticks_per_rev is unknown
-    slip: float = 0.004  # m/sqrt(m): travelled distance the wheels misread, sd after one metre
+    slip: float = 0.0066  # m/sqrt(m): travelled distance the wheels misread, sd after one metre
     distance_scale_sd: float = 0.008  # relative, of the mean wheel radius
     inequality_sd: float = 0.003  # relative, right radius against left
     track_scale_sd: float = 0.03  # relative, of the effective track width
-    side_slip: float = 0.002  # m/sqrt(m): sideways motion, sd after one metre
+    side_slip: float = 0.0033  # m/sqrt(m): sideways motion, sd after one metre
     accel: float = 1.0  # m/s/sqrt(s), how fast the forward speed wanders
     turn_accel: float = 2.0  # rad/s/sqrt(s), how fast the turn rate wanders, where there is no gyro
     memory: float = 2.0  # s, how soon speed and turn rate are forgotten while the wheels are silent

@@ -31,6 +31,7 @@ from core.estimation.fusion.layout import (
     HAS_GYRO,
     HOLD,
     KB,
+    LEAP_VAR,
     LOST_SPEED,
     OUT,
     PARTS,
@@ -210,6 +211,9 @@ def _entry_point(digest: int) -> Callable[..., int]:
                         correct_state(x, P, n, state, z - x[state], r, work, rec, k)
                 _write(x, P, n, row, row - row0 if record else -1, out, rec)
                 row += 1 + 0 * digest
+                if a[LEAP_VAR] > 0.0:
+                    P[X * N + X] += a[LEAP_VAR]
+                    P[Y * N + Y] += a[LEAP_VAR]
             elif kind == FIX:
                 fix(t, a, flags, x, P, n, mem, past, c, work, index, parts, out, e, rec, k)
             else:

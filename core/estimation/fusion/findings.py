@@ -79,6 +79,18 @@ def all_events(events: Events, walked: Walk, disturbed: tuple[Event, ...]) -> tu
     return tuple(sorted((*(c or e for c, e in zip(carried, disturbed, strict=True)), *others), key=lambda e: e.t0))
 
 
+def leaps(walked: Walk, disturbed: tuple[Event, ...]) -> tuple[Event, ...]:
+    """Where only later readings show that the robot moved otherwise than its wheels, and nothing known explains it."""
+    return tuple(
+        Event(
+            "slip", leap.t, leap.t, replaced="later readings replaced wheels and IMU",
+            evidence=f"with hindsight {np.hypot(leap.x, leap.y):.2f} m elsewhere, {np.sqrt(leap.statistic):.0f} sigma",
+        )
+        for leap in walked.leaps
+        if not any(e.t0 - 1.0 < leap.t < e.t1 + 1.0 for e in disturbed)
+    )  # fmt: skip
+
+
 def _carried(event: Event, events: Events, walked: Walk) -> Event | None:
     """The event as a kidnapping, where the robot was elsewhere after it and its wheels had not turned."""
     at = np.clip(np.searchsorted(events.out, (event.t0 - 0.2, event.t1 + 0.3)), 0, len(events.out) - 1)

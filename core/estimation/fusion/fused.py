@@ -17,7 +17,7 @@ import numpy.typing as npt
 from core.estimation.assumptions import Assumptions, Config, assume
 from core.estimation.events import Disturbances, detect
 from core.estimation.fusion.events import Events, merge
-from core.estimation.fusion.findings import all_events, findings, innovations, parameters
+from core.estimation.fusion.findings import all_events, findings, innovations, leaps, parameters
 from core.estimation.fusion.layout import FIX, RANGE, WHEEL
 from core.estimation.fusion.noise import learn, trusted_turns
 from core.estimation.fusion.sanity import sound
@@ -112,7 +112,7 @@ def _estimate(method: str, ready: Prepared, path: Walk, forward: Walk) -> Estima
         Trajectory(t, pose[:, 0], pose[:, 1], pose[:, 2], path.covariance),
         gyro_bias=Curve(t, path.bias, np.sqrt(path.bias_var)) if ready.rest is not None else None,
         parameters=parameters(ready.events, forward),
-        events=all_events(ready.events, forward, ready.disturbances.events),
+        events=all_events(ready.events, forward, (*ready.disturbances.events, *leaps(path, ready.disturbances.events))),
         innovations=innovations(ready.events, forward),
         notes=(*ready.notes, *findings(ready.events, ready.problem, forward)),
     )

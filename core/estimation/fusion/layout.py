@@ -87,7 +87,9 @@ class Constants(NamedTuple):
 WHEEL, FIX, RANGE, OUT = range(4)
 """Kinds of event, in the order they are taken at equal stamps. Their data (5,): WHEEL distance [m], turn [rad] (NaN:
 unknown), both cumulative; FIX x, y, theta or NaN, state of its lasting error in x (0: none); RANGE beacon's x, y, z,
-range, state of its lasting error; OUT, where a pose is asked for: gyro [rad/s], acceleration forward [m/s^2]."""
+range, state of its lasting error; OUT, where a pose is asked for: gyro [rad/s], acceleration forward [m/s^2],
+variance [m^2] of a leap of the robot just after it that hindsight has shown (0: none)."""
+LEAP_VAR = 2
 
 REST, JUMP, LEFT, RIGHT, TURN, ACCEL, STOPPED, CARRIED, STILL = (1 << i for i in range(9))
 """Flags of an event: at rest; the counter has jumped; left, right wheel, their difference, accelerometer not to be

@@ -30,6 +30,7 @@ SLIP_STEP, SLIP_STEPS = 2.0, 5  # levels of slip are this far apart, this many e
 WALK_STEP, WALK_STEPS, WALK_SPREAD = 3.0, 4, 1.5  # the same of the walk of the gyro's bias
 IMPOSSIBLE = 4.0  # sd from the stated track width
 CONTRADICTED = 0.3  # share of the time that wheels and gyro may disagree about turning
+ROUGH = 0.02  # m/sqrt(m): slip that is no contradiction
 SKID, SKID_SCALE = 0.6, 0.2  # m, relative: what wheels that skid do to the distance
 OUTLIER = 16.0  # a normalised innovation squared counts no more than this
 MEDIAN_CHI2 = {1: 0.4549, 2: 1.3863, 3: 2.3660}
@@ -80,13 +81,14 @@ def trusted_turns(
     """
     leading = events.leading(LEADING)
     notes: tuple[str, ...] = ()
-    inner, walked = alone(leading, numbers)
+    patient = dataclasses.replace(numbers, slip=max(numbers.slip, ROUGH))
+    inner, walked = alone(leading, patient)
     asked = (inner.kind == WHEEL) & np.isfinite(inner.data[:, 1])
     if not asked.any():
         return events, numbers, ()
     if abs(walked.x[KB]) > IMPOSSIBLE * numbers.track_scale_sd:
         numbers = dataclasses.replace(numbers, track_scale_sd=1.0)
-        inner, walked = alone(leading, numbers)
+        inner, walked = alone(leading, dataclasses.replace(patient, track_scale_sd=1.0))
         notes = (f"The gyro shows a track width {1 + walked.x[KB]:.2f} times the stated one (skid steering?).",)
     refused = float(np.mean(walked.status[asked, 1] != 1))
     if refused < CONTRADICTED:

@@ -29,8 +29,10 @@ from core.estimation.fusion.layout import (
     KE,
     KG,
     KR,
+    LEAP_VAR,
     LEFT,
     MEMORY,
+    OUT,
     PAST,
     PHI,
     RANGE,
@@ -67,6 +69,7 @@ START_SPEED, START_TURN = 0.5, 0.5  # m/s, rad/s: sd of both before the first wh
 STILL_SPEED = 1e-3  # m/s, how still rest is
 SKID_TIME = 2.0  # s for which a skid is alike
 STRETCH = 4096  # events that the smoother keeps at a time
+LEAP, LEAP_APART, LEAP_ROUNDS = 30.0, 5.0, 3  # chi-square of a leap, s between two, times that they are looked for
 
 
 @dataclass
@@ -96,6 +99,17 @@ class Walk:
     bias_var: Array
     x: Array
     P: Array
+    leaps: tuple[Leap, ...] = ()
+
+
+@dataclass(frozen=True)
+class Leap:
+    """The robot has moved by (x, y) [m] at t [s] as no sensor shows, by hindsight; chi-square of two."""
+
+    t: float
+    x: float
+    y: float
+    statistic: float
 
 
 @dataclass(frozen=True)
@@ -282,11 +296,49 @@ def flagged(events: Events, flags: Flags) -> Events:
 
 
 def smooth(p: Problem, events: Events, disturbances: Disturbances | None = None) -> tuple[Walk, Walk]:
-    """The filter with hindsight about disturbances, and the path smoothed back from its end: (filtered, smoothed)."""
-    from core.estimation.fusion._smoother_numba import walk_back
+    """The filter with hindsight about disturbances, and the path smoothed back from its end: (filtered, smoothed).
 
+    Where later readings show that the robot leapt between them as no sensor has felt (wheels that spin on wet grass),
+    both walk once more with that place left open.
+    """
     if disturbances is not None:
         events = flagged(events, disturbances.dated(events.t))
+    forward, back, shock = _both_ways(p, events)
+    leaps: tuple[Leap, ...] = ()
+    for _ in range(LEAP_ROUNDS):
+        fresh = _leaps(events.out, shock, leaps)
+        if not fresh:
+            break
+        leaps = (*leaps, *fresh)
+        events = _opened(events, leaps)
+        forward, back, shock = _both_ways(p, events)
+    return forward, dataclasses.replace(back, leaps=tuple(sorted(leaps, key=lambda leap: leap.t)))
+
+
+def _leaps(t: Array, shock: Array, known: tuple[Leap, ...]) -> tuple[Leap, ...]:
+    """The peaks above LEAP, one of each hill, away from those that are known."""
+    high = shock[:, 2] > LEAP / 2
+    begin = np.flatnonzero(high & ~np.concatenate(([False], high[:-1])))
+    end = np.flatnonzero(high & ~np.concatenate((high[1:], [False]))) + 1
+    peaks = [a + int(np.argmax(shock[a:b, 2])) for a, b in zip(begin, end, strict=True)]
+    return tuple(
+        Leap(float(t[i]), float(shock[i, 0]), float(shock[i, 1]), float(shock[i, 2]))
+        for i in peaks
+        if shock[i, 2] > LEAP and all(abs(leap.t - t[i]) > LEAP_APART for leap in known)
+    )
+
+
+def _opened(events: Events, leaps: tuple[Leap, ...]) -> Events:
+    data, rows = events.data.copy(), np.flatnonzero(events.kind == OUT)
+    for leap in leaps:
+        data[rows[int(np.searchsorted(events.out, leap.t))], LEAP_VAR] = (leap.x**2 + leap.y**2) / 2
+    return dataclasses.replace(events, data=data)
+
+
+def _both_ways(p: Problem, events: Events) -> tuple[Walk, Walk, Array]:
+    """Forward and smoothed walk, and the shock (M, 3) at each row."""
+    from core.estimation.fusion._smoother_numba import walk_back
+
     out, state, end = tracks(events), p.begin.copy(), len(events.t)
     cuts = list(range(0, end, STRETCH))
     saved = []
@@ -295,9 +347,9 @@ def smooth(p: Problem, events: Events, disturbances: Disturbances | None = None)
         p.step(events, cut, min(cut + STRETCH, end), state, out)
     forward = _walked(out._replace(rows=out.rows.copy(), covariance=out.covariance.copy()), state)
     lam, L, gyro = np.zeros(N), np.zeros((N, N)), bool(p.constants[HAS_GYRO])
-    rec = records(STRETCH, STRETCH)
+    rec, shock = records(STRETCH, STRETCH), np.zeros((len(events.out), 3))
     for cut, begun in zip(cuts[::-1], saved[::-1], strict=True):
         last, first_row = min(cut + STRETCH, end), begun.row
         p.step(events, cut, last, begun, out, rec)
-        walk_back(cut, last, begun.row, first_row, events.kind, lam, L, p.n, gyro, events.first_offset, rec, out)
-    return forward, _walked(out, state)
+        walk_back(cut, last, begun.row, first_row, events.kind, lam, L, p.n, gyro, events.first_offset, rec, out, shock)
+    return forward, _walked(out, state), shock

@@ -16,7 +16,12 @@ from core.sensors import BeaconLog, ImuLog
 from .world import BEACONS, Flaws, Sensors, World, simulate
 
 SEEDS, SLOW_SEEDS = 50, 16  # the start from ranges alone is a large search
-SURE = {"slip": Assumptions().slip, "bias_walk": Assumptions().bias_walk, "start_xy": 1e-4, "start_theta": 1e-4}  # what the worlds do
+SURE = {
+    "slip": Assumptions().slip,
+    "bias_walk": Assumptions().bias_walk,
+    "start_xy": 1e-4,
+    "start_theta": 1e-4,
+}  # what the worlds do
 
 
 def drawn_flaws(seed: int) -> Flaws:
@@ -226,6 +231,34 @@ def test_wheels_that_keep_contradicting_the_gyro_are_left_out() -> None:
     assert "wheels.turn" not in found.innovations
     errors = evaluate(found.trajectory, world.run.truth)
     assert errors.heading_max_rad is not None and errors.heading_max_rad < 0.05
+
+
+def test_hindsight_finds_where_the_wheels_spun_and_nothing_felt_it() -> None:
+    """No accelerometer, no turn: only later fixes show it; the smoothed path leaps there instead of bending."""
+    world = simulate(17, sensors=Sensors(fixes=2, fix_xy=0.15, fix_theta=None))
+    run, span = world.run, (30.0, 30.4)
+    assert run.wheels is not None and run.imu is not None
+    spun = 5.0 * np.clip((run.wheels.t - span[0]) / (span[1] - span[0]), 0, 1)  # rad, both wheels
+    wheels = dataclasses.replace(run.wheels, left=run.wheels.left + spun, right=run.wheels.right + spun)
+    run = dataclasses.replace(run, wheels=wheels, imu=ImuLog(run.imu.t, run.imu.gz))
+    found = estimate(run, "smoothed")
+    (leap,) = [e for e in found.events if e.kind == "slip"]
+    assert leap.t0 == pytest.approx(span[0], abs=1.0) and "hindsight" in leap.evidence
+    errors, claim = evaluate(found.trajectory, run.truth), nees(found.trajectory, run.truth)
+    assert errors.ate_rmse_m is not None and errors.ate_rmse_m < 0.06
+    assert claim is not None and claim.inside > 0.9
+    assert not any("hindsight" in e.evidence for e in estimate(world.run, "smoothed").events)
+
+
+def test_slip_and_the_walk_of_the_bias_are_learnt_without_a_beacon() -> None:
+    """From the wheels' turn against the gyro, and from the gyro's means at rest."""
+    worlds = [simulate(18, 240.0, Flaws(slip=s), Sensors(fixes=0), rest=40.0) for s in (2e-4, 0.02)]
+    smooth, rough = (next(n for n in fused(w).notes if n.startswith("Slip learnt")) for w in worlds)
+    assert float(smooth.split(": ")[1].split()[0]) < 1e-3
+    assert float(rough.split(": ")[1].split()[0]) == pytest.approx(0.02, rel=0.5)
+    warm = simulate(19, 240.0, Flaws(bias_walk=3e-4, slip=0.004), Sensors(fixes=0), rest=40.0)
+    note = next(n for n in fused(warm).notes if n.startswith("Walk of the gyro's bias"))
+    assert float(note.split(": ")[1].split()[0]) == pytest.approx(3e-4, rel=0.7)
 
 
 def test_truth_is_never_looked_at() -> None:
