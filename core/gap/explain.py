@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from core.effects import EFFECTS
 from core.gap.candidates import Candidate
-from core.gap.fit import refit
+from core.gap.fit import refit, with_trifles
 from core.gap.linear import Model, Problem, linearise, with_floor
 from core.gap.scatter import DENSITIES, Scatter, block_means, gyro_left, gyro_walk, scatters, walk_costs
 from core.gap.selection import WORTH, Found, gains_of, search
@@ -101,7 +101,8 @@ def _driven(wheels: Found, held: EffectSet) -> Problem:
     normal = wheels.fit.normal
     told = float(normal.c.sum()) < FITTED * float(normal.n.sum()) and wheels.unknown is None
     if told:
-        worlds = tuple(world.with_drive(wheels.fit.model) for world in wheels.problem.worlds)
+        drive = with_trifles(wheels.problem, wheels.fit)
+        worlds = tuple(world.with_drive(drive) for world in wheels.problem.worlds)
     else:
         worlds = tuple(recorded(world, wheels) for world in wheels.problem.worlds)
     return with_floor(dataclasses.replace(wheels.problem, worlds=worlds, held=held), {})

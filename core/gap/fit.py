@@ -1,7 +1,12 @@
-"""Exact refit of a model's parameters: Levenberg-Marquardt with bounds on white residuals, relinearised each step."""
+"""Exact refit of a model's parameters: Levenberg-Marquardt with bounds on white residuals, relinearised each step.
+
+Beside the parameters stand the problem's nuisances, linear and at their best for every value of the parameters.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +14,8 @@ import numpy.typing as npt
 
 from core.effects import EFFECTS
 from core.gap.candidates import STEPS, bounds, free_of
-from core.gap.linear import LOCAL, Model, Normal, Problem, linearise
+from core.gap.linear import BLOCK, HUBER, LOCAL, Model, Normal, Problem, White, columns_of, normal_equations, whitened
+from core.gap.nuisance import Nuisances, bounded
 from core.robot import EffectSet
 
 Array = npt.NDArray[np.float64]
@@ -25,12 +31,20 @@ MARGIN = 1e-3
 
 @dataclass(frozen=True)
 class Fit:
-    """A model at its best parameters in one scope: cost = -2 log likelihood up to a constant, and its equations."""
+    """A model at its best parameters in one scope: cost = -2 log likelihood up to a constant, and its equations.
+
+    normal: over the model's own columns, the nuisances' part taken out of the residual. g, a: sums over everything, the
+    nuisances marginalised. trifles: the nuisances' sizes; scores (B, P): g by block of time, where asked for.
+    """
 
     model: Model
     cost: float
     normal: Normal
     scope: str
+    g: Array
+    a: Array
+    trifles: Array
+    scores: Array | None = None
 
     @property
     def parameters(self) -> tuple[tuple[str, str], ...]:
@@ -53,8 +67,7 @@ def refit(problem: Problem, model: EffectSet, scope: str, iterations: int = ITER
     inside = {name: values for name, values in problem.overlay(model, scope).items() if name not in problem.held}
     wide = any(f"{effect}.{name}" in LOCAL for effect, name in parameters_of(inside))
     spreads = [SPREAD / 2.0**k for k in range(5)] if wide else [1.0]
-    normal = linearise(problem, inside, (), scope, spreads[0])
-    best = Fit(inside, cost_of(normal), normal, scope)
+    best = fit_at(problem, inside, scope, spreads[0])
     if not best.parameters:
         return best
     damping = 1e-4
@@ -63,26 +76,127 @@ def refit(problem: Problem, model: EffectSet, scope: str, iterations: int = ITER
         moved = _step(best, damping)
         if moved is None:
             break
-        normal = linearise(problem, moved, (), scope, spread)
-        cost = cost_of(normal)
-        if not np.isfinite(cost) or cost > best.cost:
+        tried = fit_at(problem, moved, scope, spread)
+        if not np.isfinite(tried.cost) or tried.cost > best.cost:
             damping *= 30.0
             if damping > 1e4:
                 break
             if k + 1 < len(spreads):  # look again from where we are, less wide
-                best = Fit(best.model, best.cost, linearise(problem, best.model, (), scope, spread), scope)
+                best = dataclasses.replace(fit_at(problem, best.model, scope, spread), cost=best.cost)
             continue
-        gained = best.cost - cost
-        best = Fit(moved, cost, normal, scope)
+        gained = best.cost - tried.cost
+        best = tried
         damping = max(damping / 10.0, 1e-6)
         if gained < GAINED and k + 1 >= len(spreads):
             break
     return best
 
 
+def fit_at(problem: Problem, inside: Model, scope: str, spread: float = 1.0, scores: bool = False) -> Fit:
+    """A model as it stands, its nuisances at their best."""
+    columns = columns_of(inside, (), spread)
+    white, logs = whitened(problem, inside, columns, scope)
+    nuisances = problem.nuisances
+    beside = np.flatnonzero(nuisances.beside(list(inside)))
+    at = np.zeros(len(nuisances.keys))
+    sd, limit = nuisances.sd[beside], nuisances.limit[beside]
+    if len(beside):
+        pull = _pull(white, nuisances)
+        at[beside], _ = bounded(nuisances.a[np.ix_(beside, beside)], pull[beside], sd, limit)
+        white = without(white, nuisances, at)
+        logs += float(np.sum((at[beside] / sd) ** 2))
+    normal = normal_equations(white, [one.key for one in columns], logs)
+    _, g, a = normal.total
+    free = beside[np.abs(at[beside]) < limit * (1.0 - 1e-9)]
+    share = np.zeros((len(columns), 0))
+    if len(free) and len(columns):
+        cross = _cross(white, nuisances, len(columns))[:, free]
+        inner = nuisances.a[np.ix_(free, free)] + np.diag(nuisances.sd[free] ** -2.0)
+        size = np.sqrt(np.diag(inner))
+        share = np.linalg.solve(inner / np.outer(size, size), (cross / size).T).T / size
+        a = a - share @ cross.T
+    parts = normal.g.sum(axis=0) if scores else None
+    if parts is not None and len(free) and len(columns):
+        parts = parts - _by_block(white, nuisances, normal)[:, free] @ share.T
+    return Fit(inside, cost_of(normal), normal, scope, g, a, at, parts)
+
+
+def with_trifles(problem: Problem, fit: Fit) -> Model:
+    """The model together with its nuisances at their best, as effects; of moved beacons none."""
+    out: Model = {name: dict(values) for name, values in fit.model.items()}
+    nuisances = problem.nuisances
+    for key, effect, size in zip(nuisances.keys, nuisances.effects, fit.trifles, strict=True):
+        if effect in fit.model or effect == "anchor_moved" or size == 0.0:
+            continue
+        name, _, start = key.partition("@")
+        values = out.setdefault(effect, {**EFFECTS[effect].neutral, **problem.known.get(effect, {})})
+        parameter = name.split(".")[1]
+        low, high = bounds(effect, parameter)
+        values[parameter] = float(np.clip(float(values[parameter]) + size, low, high))
+        if start:
+            values["tau"] = float(start)
+    return out
+
+
+def _weight(residual: Array) -> Array:
+    out: Array = HUBER / np.maximum(np.abs(residual), HUBER)
+    return out
+
+
+def _pull(white: Sequence[Mapping[str, White]], nuisances: Nuisances) -> Array:
+    """(M,) products of the nuisances' columns and the residual."""
+    out = np.zeros(len(nuisances.keys))
+    for one, rows in zip(white, nuisances.rows, strict=True):
+        for name, (columns, index) in rows.items():
+            if name in one:
+                residual = one[name].residual
+                out[index] += columns @ (residual * _weight(residual))
+    return out
+
+
+def without(white: Sequence[Mapping[str, White]], nuisances: Nuisances, at: Array) -> list[dict[str, White]]:
+    """The same with the nuisances' part taken out of the residual."""
+    out = []
+    for one, rows in zip(white, nuisances.rows, strict=True):
+        kept = dict(one)
+        for name, (columns, index) in rows.items():
+            if name in one:
+                kept[name] = dataclasses.replace(one[name], residual=one[name].residual - at[index] @ columns)
+        out.append(kept)
+    return out
+
+
+def _cross(white: Sequence[Mapping[str, White]], nuisances: Nuisances, own: int) -> Array:
+    """(own, M) products of own columns and the nuisances'."""
+    out = np.zeros((own, len(nuisances.keys)))
+    for one, rows in zip(white, nuisances.rows, strict=True):
+        for name, (columns, index) in rows.items():
+            if name in one and len(one[name].index):
+                w = one[name]
+                out[np.ix_(w.index, index)] += (w.columns * _weight(w.residual)) @ columns.T
+    return out
+
+
+def _by_block(white: Sequence[Mapping[str, White]], nuisances: Nuisances, normal: Normal) -> Array:
+    """(B, M) products of the nuisances' columns and the residual in each block of time."""
+    place = {(int(run), float(start)): k for k, (run, start) in enumerate(normal.blocks)}
+    out = np.zeros((len(normal.blocks), len(nuisances.keys)))
+    for k, (one, rows) in enumerate(zip(white, nuisances.rows, strict=True)):
+        for name, (columns, index) in rows.items():
+            if name not in one or not len(one[name].t):
+                continue
+            w = one[name]
+            number = np.floor(np.maximum(w.t, 0.0) / BLOCK)
+            cuts = np.flatnonzero(np.diff(number, prepend=-1.0))
+            sums = np.add.reduceat(columns * (w.residual * _weight(w.residual)), cuts, axis=1)
+            for j, cut in enumerate(cuts):
+                out[place[(k, float(number[cut] * BLOCK))], index] += sums[:, j]
+    return out
+
+
 def _step(fit: Fit, damping: float) -> Model | None:
     """Parameters after one damped step, inside their bounds."""
-    _, g, a = fit.normal.total
+    g, a = fit.g, fit.a
     scale = np.sqrt(np.maximum(np.diag(a), 1e-12))
     step = np.linalg.lstsq(a / np.outer(scale, scale) + damping * np.eye(len(g)), g / scale, rcond=1e-12)[0] / scale
     if not np.isfinite(step).all():

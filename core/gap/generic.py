@@ -165,8 +165,29 @@ def fix_shapes(world: World, name: str, pose: Array, t: Array) -> dict[Shape, Ar
     return {Shape(name, regressor, text): value for regressor, text, value in table}
 
 
-def generic_columns(problem: Problem, model: EffectSet, scope: str) -> tuple[list[Shape], list[dict[str, White]]]:
-    """All shapes, and per run and channel their white columns about a model."""
+Sizes = dict[str, list[float]]
+"""Sum of squares and number of a shape's own values, by its key: in the units of `TRIFLE`."""
+TRIFLE = {
+    "wheels.left": 6e-4, "wheels.right": 6e-4, "imu.gz": 4e-4, "imu.ax": 5e-3, "imu.ay": 5e-3, "body.w": 8e-4,
+    "body.v": 6e-4, "body.vy": 6e-4, "beacon.x": 6e-3, "beacon.y": 6e-3, "beacon.theta": 2e-3, "ranges.range": 5e-3,
+}  # fmt: skip
+"""Root mean square below which a shape is immaterial, as the effects on its channel are below their tolerances: rim
+speed [m/s], rad/s, m/s², rad/s, m/s, m/s, m, m, rad, m."""
+WOBBLE = 0.3
+"""The same of what a wheel's angle is off, for each metre per second of `TRIFLE` [s]."""
+
+
+def _add(sizes: Sizes, shape: Shape, values: Array, unit: float = 1.0) -> None:
+    one = sizes.setdefault(shape.key, [0.0, 0.0])
+    one[0] += float(np.einsum("i,i->", values, values)) * unit * unit
+    one[1] += len(values)
+
+
+def generic_columns(
+    problem: Problem, model: EffectSet, scope: str
+) -> tuple[list[Shape], list[dict[str, White]], dict[str, float]]:
+    """All shapes, per run and channel their white columns about a model, and each one's root mean square."""
+    sizes: Sizes = {}
     shapes: dict[str, int] = {}
     listed: list[Shape] = []
     whites = []
@@ -178,9 +199,16 @@ def generic_columns(problem: Problem, model: EffectSet, scope: str) -> tuple[lis
                 base = predicted[name][0, world.keep(name)]
                 found = wheel_shapes(world, name, base)
                 white = white_wheels(world, name, np.array(list(found.values())), problem.floor)
+                radius = world.run.meta.robot.wheel_radius or 0.0
+                step = np.maximum(np.gradient(world.times[name]), 1e-6)
+                for shape, value in found.items():
+                    if shape.regressor == name:
+                        _add(sizes, shape, value, radius / WOBBLE)
+                    else:
+                        _add(sizes, shape, np.gradient(value) / step, radius)
                 rows[name] = list(zip(found, white, strict=True))
         else:
-            rows = _body_rows(problem, world, model)
+            rows = _body_rows(problem, world, model, sizes)
         for pairs in rows.values():
             for shape, _ in pairs:
                 if shape.key not in shapes:
@@ -198,22 +226,26 @@ def generic_columns(problem: Problem, model: EffectSet, scope: str) -> tuple[lis
                 if pairs
             }
         )
-    return listed, whites
+    return listed, whites, {key: float(np.sqrt(total / max(n, 1.0))) for key, (total, n) in sizes.items()}
 
 
-def _body_rows(problem: Problem, world: World, model: EffectSet) -> dict[str, list[tuple[Shape, Array]]]:
+def _body_rows(problem: Problem, world: World, model: EffectSet, sizes: Sizes) -> dict[str, list[tuple[Shape, Array]]]:
     body = world.body([problem.overlay(model, "body")])
     rows: dict[str, list[tuple[Shape, Array]]] = {name: [] for name in world.channels if name not in WHEELS}
     r = regressors(world, body) if len(world.body_inputs.imu) > 3 else {}
     sigma = {name: imu_sigma(world, name, body, problem.floor) for name in IMU if name in rows}
     for name in sigma:
         keep = world.keep(name)
-        rows[name] += [(shape, value[keep]) for shape, value in imu_shapes(name, r).items()]
+        for shape, value in imu_shapes(name, r).items():
+            rows[name].append((shape, value[keep]))
+            _add(sizes, shape, value)
     residuals = residuals_of(
         world, {name: np.zeros((1, len(world.run.wheels))) for name in WHEELS} if world.run.wheels else {}, body
     )
     events = events_of(world, body, problem.floor, residuals)
     motions = motion_shapes(r) if r else {}
+    for shape, motion in motions.items():
+        _add(sizes, shape, motion[0] + motion[1] + motion[2])
     if motions:
         for name in sigma:
             keep = world.keep(name)
@@ -235,6 +267,7 @@ def _body_rows(problem: Problem, world: World, model: EffectSet) -> dict[str, li
         pose = np.column_stack((body.x[0, at], body.y[0, at], wrap(body.theta[0, at])))
         for shape, column in fix_shapes(world, name, pose, world.times[name]).items():
             stacked.append(shape)
+            _add(sizes, shape, column)
             jumps.append(zero)
             for other in events.names:
                 values[other].append(column if other == name else np.zeros(len(world.times[other])))

@@ -31,12 +31,12 @@ LEAST = {
 
 def deviations(fit: Fit) -> dict[tuple[str, str], float]:
     """Standard deviation of each parameter: the larger of the model's own and one from the scatter between blocks."""
-    _, _, a = fit.normal.total
+    a = fit.a
     if not len(a):
         return {}
     size = np.sqrt(np.maximum(np.diag(a), 1e-30))
     inverse = np.linalg.pinv(a / np.outer(size, size), rcond=1e-12) / np.outer(size, size)
-    scores = fit.normal.g.sum(axis=0)
+    scores = fit.normal.g.sum(axis=0) if fit.scores is None else fit.scores
     scores = scores - scores.mean(axis=0)
     sandwich = inverse @ (scores.T @ scores) @ inverse
     model, blocks = np.sqrt(np.diag(inverse)), np.sqrt(np.maximum(np.diag(sandwich), 0.0))

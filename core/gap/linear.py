@@ -17,6 +17,8 @@ import numpy.typing as npt
 from core.effects import EFFECTS
 from core.gap.candidates import STEPS, Candidate, bounds, free_of
 from core.gap.floor import Floor, measure
+from core.gap.nuisance import SPREAD as SHARE
+from core.gap.nuisance import Nuisances, limits
 from core.gap.whiten import (
     Events,
     best_walk,
@@ -46,8 +48,7 @@ class Normal:
     """Normal equations over columns `keys` (P): per channel (C) and per block (B); residual r, columns E, all white.
 
     n: readings; c: Huber's loss of r (r.r where all are small); g: E.r; a: E.E, both with Huber's weights.
-    secant (P,): by how much the loss drops if a secant's whole column is taken, 0 for derivatives. blocks (B, 2): run
-    and first second.
+    blocks (B, 2): run and first second.
     """
 
     keys: tuple[str, ...]
@@ -58,7 +59,6 @@ class Normal:
     g: Array
     a: Array
     logs: float
-    secant: Array
 
     @property
     def total(self) -> tuple[float, Array, Array]:
@@ -88,12 +88,16 @@ class White:
 
 @dataclass(frozen=True)
 class Problem:
-    """All runs that are fitted together, and the noise floor that they share. held: effects taken as given."""
+    """All runs that are fitted together, and the noise floor that they share.
+
+    held: effects taken as given. nuisances: what stands beside every model, of one scope.
+    """
 
     worlds: tuple[World, ...]
     floor: Floor
     known: EffectSet
     held: EffectSet = dataclasses.field(default_factory=dict)
+    nuisances: Nuisances = dataclasses.field(default_factory=Nuisances)
 
     @property
     def leads(self) -> bool:
@@ -108,6 +112,10 @@ class Problem:
             kept = {**drive_effects(model), **{k: v for k, v in model.items() if k == "missed_ticks"}}
             return {name: dict(values) for name, values in kept.items()}
         return {name: dict(values) for name, values in model.items()}
+
+
+FIRST = 3e-3
+"""The most that a path without truth may walk before anything is explained [rad per root of m]."""
 
 
 def with_floor(problem: Problem, model: EffectSet) -> Problem:
@@ -127,8 +135,11 @@ def with_floor(problem: Problem, model: EffectSet) -> Problem:
         if found is not None:
             events.append((found, residual, jumps_of(world, body)))
     walk = best_walk(events) if events else floor.walk
+    if not model and any(world.run.truth is None for world in problem.worlds):
+        walk = min(walk, FIRST)  # a strong walk would take for chance what an effect does to the path
     kept = problem.floor.gyro_walk
-    return dataclasses.replace(problem, floor=dataclasses.replace(floor, walk=walk, gyro_walk=kept))
+    floor = dataclasses.replace(floor, walk=walk, gyro_walk=kept)
+    return dataclasses.replace(problem, floor=floor, nuisances=Nuisances())
 
 
 def columns_of(model: EffectSet, tried: Sequence[Candidate], spread: float = 1.0) -> list[Column]:
@@ -285,15 +296,11 @@ def normal_equations(white: Sequence[Mapping[str, White]], keys: Sequence[str], 
     place = {block: i for i, block in enumerate(blocks)}
     p, shape = len(keys), (len(names), len(blocks))
     n, c, g, a = np.zeros(shape), np.zeros(shape), np.zeros((*shape, p)), np.zeros((*shape, p, p))
-    secant = np.zeros(p)
-    whole = np.array(["*" in key for key in keys], dtype=bool)
     for k, one in enumerate(white):
         for i, name in enumerate(names):
             if name not in one or not len(one[name].t):
                 continue
             w = one[name]
-            for row in np.flatnonzero(whole[w.index]) if len(w.index) else ():
-                secant[w.index[row]] += float(np.sum(loss(w.residual)) - np.sum(loss(w.residual - w.columns[row])))
             number = np.floor(np.maximum(w.t, 0.0) / BLOCK)
             cuts = np.append(np.flatnonzero(np.diff(number, prepend=-1.0)), len(w.t))
             for first, last in itertools.pairwise(cuts):
@@ -305,7 +312,40 @@ def normal_equations(white: Sequence[Mapping[str, White]], keys: Sequence[str], 
                     weighted = e * (HUBER / size)
                     g[i, j, w.index] = weighted @ r
                     a[i, j][np.ix_(w.index, w.index)] = weighted @ e.T
-    return Normal(tuple(keys), names, np.array(blocks, dtype=float).reshape(-1, 2), n, c, g, a, logs, secant)
+    return Normal(tuple(keys), names, np.array(blocks, dtype=float).reshape(-1, 2), n, c, g, a, logs)
+
+
+def secants_of(white: Sequence[Mapping[str, White]], count: int) -> Array:
+    """(P,) by how much the loss drops if each whole column is taken."""
+    out = np.zeros(count)
+    for one in white:
+        for w in one.values():
+            base = float(np.sum(loss(w.residual))) if len(w.index) else 0.0
+            for row, i in enumerate(w.index):
+                out[i] += base - float(np.sum(loss(w.residual - w.columns[row])))
+    return out
+
+
+def nuisances_of(white: Sequence[Mapping[str, White]], normal: Normal) -> Nuisances:
+    """Of the columns of an effect table's linearisation, those that stand for immaterial flaws."""
+    limit = limits(normal.keys)
+    chosen = np.flatnonzero(limit)
+    if not len(chosen):
+        return Nuisances()
+    place = np.full(len(limit), -1)
+    place[chosen] = np.arange(len(chosen))
+    rows = []
+    for one in white:
+        kept = {}
+        for name, w in one.items():
+            mine = np.flatnonzero(place[w.index] >= 0)
+            if len(mine):
+                kept[name] = (w.columns[mine], place[w.index[mine]])
+        rows.append(kept)
+    keys = tuple(normal.keys[i] for i in chosen)
+    a = normal.total[2][np.ix_(chosen, chosen)]
+    effects = tuple(key.split(".")[0] for key in keys)
+    return Nuisances(keys, effects, SHARE * limit[chosen], limit[chosen], a, tuple(rows))
 
 
 LOCAL = frozenset(("slip_patch.x", "slip_patch.y", "slip_patch.radius", "bump.time", "deadband.width"))
@@ -317,6 +357,13 @@ def linearise(
 ) -> Normal:
     """Normal equations about a model: its own parameters first (if `own`), then the candidates' columns."""
     inside = {name: values for name, values in problem.overlay(model, scope).items() if name not in problem.held}
+    return linearised(problem, inside, tried, scope, spread, own)[1]
+
+
+def linearised(
+    problem: Problem, inside: Model, tried: Sequence[Candidate], scope: str, spread: float = 1.0, own: bool = True
+) -> tuple[list[dict[str, White]], Normal]:
+    """White residual and columns about a model of this scope, and their normal equations."""
     columns = columns_of(inside, tried, spread) if own or tried else []
     white, logs = whitened(problem, inside, columns, scope)
-    return normal_equations(white, [one.key for one in columns], logs)
+    return white, normal_equations(white, [one.key for one in columns], logs)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from core.gap.fit import Fit
+from core.gap.fit import Fit, without
 from core.gap.floor import Floor
 from core.gap.linear import Problem, whitened
 from core.gap.world import World
@@ -139,6 +139,8 @@ def gyro_left(problem: Problem, fit: Fit) -> list[tuple[Array, Array]]:
     """Stamps and what a fit leaves of the gyro [rad/s], per run."""
     plain = dataclasses.replace(problem, floor=dataclasses.replace(problem.floor, gyro_walk=0.0))
     white, _ = whitened(plain, fit.model, (), "body")
+    if problem.floor.gyro_walk == 0.0:
+        white = without(white, problem.nuisances, fit.trifles)
     sigma = problem.floor.sigma["imu.gz"]
     limit = float(fit.model.get("gyro_clip", {}).get("limit", np.inf)) - 4.0 * sigma
     out = []

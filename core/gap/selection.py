@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import dataclasses
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,23 +11,25 @@ import numpy.typing as npt
 
 from core.effects import EFFECTS
 from core.gap.candidates import Candidate
-from core.gap.fit import Fit, cost_of, parameters_of, refit
+from core.gap.fit import Fit, cost_of, fit_at, parameters_of, refit, with_trifles, without
 from core.gap.generic import Shape
-from core.gap.linear import Model, Normal, Problem, linearise, with_floor
+from core.gap.linear import Model, Normal, Problem, linearise, linearised, nuisances_of, secants_of, with_floor
+from core.gap.nuisance import SPREAD, bounded, limits
 from core.gap.places import placed, polish
 from core.gap.scatter import gyro_left, gyro_walk
 from core.gap.unknown import blocked_by, rest_of
+from core.gap.visible import Sight
 from core.robot import EffectSet
 
 Array = npt.NDArray[np.float64]
 
 MOST = 5
 """At most so many effects in one link's model."""
-TRIED = 4
-"""So many of the best candidates are refitted at each step."""
+TRIED, ROUGH = 3, 2
+"""So many of the best candidates are refitted at each step: smooth ones, and whole changes (a clip, a patch)."""
 BRIEF = 3
 """Iterations of a fit that is only compared."""
-WORTH = 30.0
+WORTH = 24.0
 """Drop of the cost that an effect must bring: noise on fifty candidates stays below (see tests/bench/bench_gap.py)."""
 WHEELS_WORTH = 120.0
 """The same of encoders: rounding at slow speed is no white noise."""
@@ -45,15 +48,6 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Screen:
-    """The last screening: information about the model's own parameters (the first `own`) and the candidates'."""
-
-    information: Array
-    own: int
-    tried: tuple[Candidate, ...]
-
-
-@dataclass(frozen=True)
 class Found:
     """The model of one link: its fit, the problem with the floor it left, the search's steps, the rivals' screening.
 
@@ -69,82 +63,151 @@ class Found:
     earned: dict[str, float] = field(default_factory=dict)
     unknown: tuple[Shape, float] | None = None
     tolerated: dict[str, float] = field(default_factory=dict)
-    screen: Screen | None = None
+    screen: Sight | None = None
 
 
 def gains_of(normal: Normal, own: int, tried: Sequence[Candidate]) -> Array:
-    """(len(tried),) drop of the cost that each candidate promises, the model's own parameters refitted with it."""
-    _, g, a = normal.total
-    out = np.zeros(len(tried))
-    ridge = 1e-9
-    at = own
-    base, solve = _projector(a[:own, :own], g[:own])
-    for k, one in enumerate(tried):
-        mine = np.arange(at, at + len(one.keys))
-        at += len(one.keys)
-        cross = a[np.ix_(mine, np.arange(own))]
-        info = a[np.ix_(mine, mine)] - cross @ solve(cross.T)
-        score = g[mine] - cross @ base
-        diag = np.diag(a)[mine]
-        if (np.diag(info) <= 1e-6 * np.maximum(diag, 1e-12)).all():
-            continue
-        if one.secant:
-            weight = float(np.clip(score[0] / max(info[0, 0], 1e-12), *SECANT))
-            out[k] = max(2.0 * weight * score[0] - weight**2 * info[0, 0], float(normal.secant[mine[0]]))
-        else:
-            size = np.sqrt(np.maximum(diag, 1e-12))
-            scaled = info / np.outer(size, size) + ridge * np.eye(len(mine))
-            out[k] = float((score / size) @ np.linalg.solve(scaled, score / size))
-    return out
+    """(len(tried),) drop of the cost that each candidate promises beside the model's own parameters and all nuisances.
+
+    own: so many columns are the model's; the rest are the candidates', in their order.
+    """
+    return Screen.of(normal, own, tried).gains(tried)
 
 
-def _projector(a: Array, g: Array) -> tuple[Array, Callable[[Array], Array]]:
-    if not len(g):
-        return np.zeros(0), lambda x: np.zeros((0, np.shape(x)[1]))
-    size = np.sqrt(np.maximum(np.diag(a), 1e-12))
-    inverse = np.linalg.pinv(a / np.outer(size, size), rcond=1e-10) / np.outer(size, size)
-    return inverse @ g, lambda x: inverse @ x
+@dataclass(frozen=True)
+class Screen:
+    """A model and all candidates as one linear problem, in which any set of them can be weighed at once.
+
+    g, a: sums over all columns; sd, limit: of each column as a nuisance (0: it is none); effects: whose it is.
+    """
+
+    normal: Normal
+    g: Array
+    a: Array
+    sd: Array
+    limit: Array
+    effects: tuple[str, ...]
+    own: int
+    places: tuple[tuple[int, ...], ...]
+    secants: Mapping[int, float]
+
+    @classmethod
+    def of(
+        cls, normal: Normal, own: int, tried: Sequence[Candidate], secants: Mapping[int, float] | None = None
+    ) -> Screen:
+        """From normal equations over the model's columns and the candidates'. secants: what whole columns bring."""
+        _, g, a = normal.total
+        limit = limits(normal.keys)
+        places, at = [], own
+        for one in tried:
+            places.append(tuple(range(at, at + len(one.keys))))
+            at += len(one.keys)
+        effects = tuple(key.split(".")[0].split("*")[0] for key in normal.keys)
+        return cls(normal, g, a, SPREAD * limit, limit, effects, own, tuple(places), secants or {})
+
+    def drop(self, columns: Sequence[int], model: Sequence[str]) -> float:
+        """By how much the cost falls if these columns are free; beside them the nuisances, but for a model's own."""
+        free = np.zeros(len(self.g), dtype=bool)
+        free[list(columns)] = True
+        kept = np.flatnonzero(free | ((self.limit > 0.0) & np.array([e not in model for e in self.effects])))
+        sd = np.where(free, np.inf, self.sd)[kept]
+        limit = np.where(free, np.inf, self.limit)[kept]
+        return bounded(self.a[np.ix_(kept, kept)], self.g[kept], sd, limit)[1]
+
+    def gains(self, tried: Sequence[Candidate]) -> Array:
+        """(len(tried),) what each candidate brings beyond the model with its nuisances."""
+        own = list(range(self.own))
+        named = sorted(set(self.effects[: self.own]))
+        base = self.drop(own, named)
+        out = np.zeros(len(tried))
+        for k, (one, mine) in enumerate(zip(tried, self.places, strict=True)):
+            if one.secant:
+                at = mine[0]
+                weight = float(np.clip(self._weight(at, named), *SECANT))
+                score, info = self._beside(at, named)
+                out[k] = max(2.0 * weight * score - weight**2 * info, self.secants.get(at, 0.0))
+            else:
+                out[k] = self.drop([*own, *mine], [*named, one.effect]) - base
+        return out
+
+    def _beside(self, at: int, named: Sequence[str]) -> tuple[float, float]:
+        """Score and information of one column, the model's own parameters and the nuisances marginalised."""
+        kept = np.flatnonzero(self.limit > 0.0)
+        kept = kept[[self.effects[i] not in named and self.effects[i] != self.effects[at] for i in kept]]
+        kept = np.concatenate((np.arange(self.own), kept)).astype(int)
+        ridge = np.where(kept < self.own, 0.0, 1.0 / np.maximum(self.sd[kept], 1e-12) ** 2)
+        inner = self.a[np.ix_(kept, kept)] + np.diag(ridge)
+        size = np.sqrt(np.maximum(np.diag(inner), 1e-30))
+        part = np.linalg.lstsq(inner / np.outer(size, size), np.column_stack((self.g[kept], self.a[kept, at])) /
+                               size[:, None], rcond=1e-12)[0] / size[:, None]  # fmt: skip
+        cross = self.a[at, kept]
+        return float(self.g[at] - cross @ part[:, 0]), float(self.a[at, at] - cross @ part[:, 1])
+
+    def _weight(self, at: int, named: Sequence[str]) -> float:
+        score, info = self._beside(at, named)
+        return score / max(info, 1e-12)
+
+    def pair(self, tried: Sequence[Candidate], gains: Array, among: int) -> tuple[float, tuple[str, str] | None]:
+        """The most that two smooth candidates of the best few bring together, and which they are."""
+        own = list(range(self.own))
+        named = sorted(set(self.effects[: self.own]))
+        base = self.drop(own, named)
+        order = [int(k) for k in np.argsort(-gains) if not tried[int(k)].secant][:among]
+        best: tuple[float, tuple[str, str] | None] = (0.0, None)
+        for i, k in enumerate(order):
+            for j in order[i + 1 :]:
+                first, second = tried[k].effect, tried[j].effect
+                if first != second:
+                    both = [*own, *self.places[k], *self.places[j]]
+                    gain = self.drop(both, [*named, first, second]) - base
+                    if gain > best[0]:
+                        best = gain, (first, second)
+        return best
 
 
 def search(problem: Problem, tried: Sequence[Candidate], scope: str, start: EffectSet | None = None) -> Found:
-    """Add the effect that explains most, refit exactly, drop what is no longer needed; until nothing is worth it."""
+    """Add the effect that explains most, refit exactly, swap and drop; until nothing is worth it."""
     fit = refit(problem, start or {}, scope)
     worth = WHEELS_WORTH if scope == "wheels" else WORTH
     steps: list[Step] = []
     gains: dict[str, float] = {}
     tolerated: dict[str, float] = {}
     unknown: tuple[Shape, float] | None = None
-    screen: Screen | None = None
+    sight: Sight | None = None
     for _ in range(MOST):
         fresh = [one for one in tried if one.effect not in fit.model]
         if unknown is not None:
             fresh = [one for one in fresh if not blocked_by(unknown[0]) & set(EFFECTS[one.effect].streams)]
-        elif scope != "wheels":
-            fresh += placed(problem, fit.model)
-        normal = linearise(problem, fit.model, fresh, scope)
-        own = len(parameters_of(fit.model))
-        screen = Screen(normal.total[2], own, tuple(fresh))
-        tolerated = tolerated or _tolerated(normal, fresh)
-        gain = gains_of(normal, own, fresh)
+        problem, fit, screen = screened(problem, fit, fresh, scope)
+        sight = Sight(screen.a, screen.own, tuple(fresh))
+        sight = Sight(screen.a, screen.own, tuple(fresh))
+        tolerated = tolerated or _tolerated(screen.normal, fresh)
+        gain = screen.gains(fresh)
+        paired = screen.pair(fresh, gain, PAIRED)
+        if unknown is None and scope != "wheels":
+            local, brings = _put(problem, fit, scope)
+            fresh, gain = [*fresh, *local], np.concatenate((gain, brings))
         gains = _best_of(fresh, gain)
-        ranked = sorted(gains.items(), key=lambda item: -item[1])
-        if not ranked or ranked[0][1] < worth:
-            break
-        chosen = _starts(fresh, gain)
+        chosen = [one for one in _starts(fresh, gain) if _enough(one.effect, gains[one.effect], worth, tolerated)]
         fits = [
             (one.effect, refit(problem, {**fit.model, one.effect: dict(one.start)}, scope, BRIEF)) for one in chosen
         ]
+        if not chosen:
+            both = _masked(problem, fit, fresh, paired, worth, scope)
+            if both is None:
+                break
+            fits = [both]
         name, best = min(fits, key=lambda item: item[1].cost)
         if fit.cost - best.cost < worth:
             break
         if unknown is None:
-            unknown = _stranger(problem, fit, best, pairs_of(normal, own, fresh))
+            unknown = _stranger(problem, fit, best, paired[0])
             if unknown is not None:
                 fit, unknown = _stood_in(problem, fit, unknown, scope)
                 steps.append(Step(f"unknown {unknown[0].key}", tuple((e, fit.cost - f.cost) for e, f in fits)))
                 continue
         steps.append(Step(f"add {name}", tuple((e, fit.cost - f.cost) for e, f in fits)))
-        best, dropped = _drop(problem, best, scope)
+        best, dropped = _drop(problem, best, scope, worth)
         steps += [Step(f"drop {one}") for one in dropped]
         if name == "slip_patch":
             best = _polished(problem, best, scope)
@@ -152,7 +215,65 @@ def search(problem: Problem, tried: Sequence[Candidate], scope: str, start: Effe
         fit = refit(problem, best.model, scope)
     if "slip_patch" in fit.model and _loss(fit, "slip_patch") > POLISHED * fit.normal.n.sum():
         fit = _polished(problem, fit, scope, (0.04, 0.02, 0.01, 0.005, 0.002))
-    return Found(fit, problem, tuple(steps), gains, _earned(problem, fit, scope), unknown, tolerated, screen)
+    if not problem.nuisances.keys:
+        problem, fit, _ = screened(problem, fit, [one for one in tried if one.effect not in fit.model], scope)
+    fit = fit_at(problem, fit.model, scope, scores=True)
+    return Found(fit, problem, tuple(steps), gains, _earned(problem, fit, scope), unknown, tolerated, sight)
+
+
+def screened(problem: Problem, fit: Fit, fresh: Sequence[Candidate], scope: str) -> tuple[Problem, Fit, Screen]:
+    """All candidates about a fit; the problem with what is immaterial of them beside it, and the fit beside that."""
+    white, normal = linearised(problem, fit.model, fresh, scope)
+    problem = dataclasses.replace(problem, nuisances=nuisances_of(white, normal))
+    fit = refit(problem, fit.model, scope)
+    whole = [i for i, key in enumerate(normal.keys) if "*" in key]
+    secants = {}
+    if whole:
+        kept = [
+            {n: dataclasses.replace(w, columns=w.columns[m], index=w.index[m]) for n, w in one.items() for m in
+             [np.isin(w.index, whole)]}
+            for one in without(white, problem.nuisances, fit.trifles)
+        ]  # fmt: skip
+        brings = secants_of(kept, len(normal.keys))
+        secants = {i: float(brings[i]) for i in whole}
+    return problem, fit, Screen.of(normal, len(parameters_of(fit.model)), fresh, secants)
+
+
+def _put(problem: Problem, fit: Fit, scope: str) -> tuple[list[Candidate], Array]:
+    """Patches and bumps that what is left speaks for, and what each would bring as it stands."""
+    found = placed(problem, with_trifles(problem, fit))
+    white, normal = linearised(problem, fit.model, found, scope, own=False)
+    own = len(parameters_of(fit.model))
+    return found, secants_of(without(white, problem.nuisances, fit.trifles), len(normal.keys))[own:]
+
+
+LIMITS = ("speed_limit", "accel_limit", "gyro_clip")
+
+
+def _enough(effect: str, gain: float, worth: float, tolerated: Mapping[str, float]) -> bool:
+    """Whether an effect's promise is worth a fit; a limit must bring what tolerated flaws of its channels would."""
+    if effect in LIMITS:
+        worth = max(worth, CRUMB * max((tolerated.get(name, 0.0) for name in EFFECTS[effect].streams), default=0.0))
+    return gain >= worth
+
+
+CRUMB = 0.25
+
+
+def _masked(
+    problem: Problem,
+    fit: Fit,
+    fresh: Sequence[Candidate],
+    paired: tuple[float, tuple[str, str] | None],
+    worth: float,
+    scope: str,
+) -> tuple[str, Fit] | None:
+    """Two effects that hide each other: worth it only together."""
+    gain, names = paired
+    if names is None or gain < 2.0 * worth:
+        return None
+    starts = {one.effect: dict(one.start) for one in reversed(fresh) if one.effect in names}
+    return "+".join(names), refit(problem, {**fit.model, **starts}, scope, BRIEF)
 
 
 def _earned(problem: Problem, fit: Fit, scope: str) -> dict[str, float]:
@@ -226,31 +347,6 @@ STANDS = 0.9
 """Share of what effects and shape took together that the shape alone must take, for the effects to be dropped."""
 
 
-def pairs_of(normal: Normal, own: int, tried: Sequence[Candidate]) -> float:
-    """The most that two smooth candidates bring together, the model's own parameters refitted."""
-    _, g, a = normal.total
-    base, solve = _projector(a[:own, :own], g[:own])
-    cross = a[own:, :own]
-    info, score = a[own:, own:] - cross @ solve(cross.T), g[own:] - cross @ base
-    at, parts = 0, []
-    gain = gains_of(normal, own, tried)
-    for k, one in enumerate(tried):
-        mine = list(range(at, at + len(one.keys)))
-        at += len(one.keys)
-        if not one.secant:
-            parts.append((gain[k], one.effect, mine))
-    parts.sort(key=lambda part: -part[0])
-    best = 0.0
-    for i, (_, first, mine) in enumerate(parts[:PAIRED]):
-        for _, second, theirs in parts[i + 1 : PAIRED]:
-            if first != second:
-                both = mine + theirs
-                size = np.sqrt(np.maximum(np.diag(a)[[own + j for j in both]], 1e-12))
-                scaled = info[np.ix_(both, both)] / np.outer(size, size) + 1e-6 * np.eye(len(both))
-                best = max(best, float((score[both] / size) @ np.linalg.solve(scaled, score[both] / size)))
-    return best
-
-
 def _best_of(tried: Sequence[Candidate], gain: Array) -> dict[str, float]:
     out: dict[str, float] = {}
     for one, value in zip(tried, gain, strict=True):
@@ -259,18 +355,20 @@ def _best_of(tried: Sequence[Candidate], gain: Array) -> dict[str, float]:
 
 
 def _starts(tried: Sequence[Candidate], gain: Array) -> list[Candidate]:
-    """The best start of each of the best effects."""
-    order = np.argsort(-gain)
+    """The best start of each of the best effects: some that are smooth, some whose promise is rough."""
+    order = [int(k) for k in np.argsort(-gain)]
     out: list[Candidate] = []
-    for k in order:
-        if gain[k] < max(WORTH, 0.2 * gain[order[0]]) or len(out) >= TRIED:
-            break
-        if all(one.effect != tried[k].effect for one in out):
-            out.append(tried[k])
+    for rough, most in ((False, TRIED), (True, ROUGH)):
+        kind = [k for k in order if tried[k].secant == rough]
+        for k in kind:
+            if gain[k] < max(WORTH, 0.2 * gain[kind[0]]) or sum(one.secant == rough for one in out) >= most:
+                break
+            if all(one.effect != tried[k].effect for one in out):
+                out.append(tried[k])
     return out
 
 
-def _drop(problem: Problem, fit: Fit, scope: str) -> tuple[Fit, list[str]]:
+def _drop(problem: Problem, fit: Fit, scope: str, worth: float) -> tuple[Fit, list[str]]:
     """Without every effect that the others can do without."""
     dropped: list[str] = []
     for name in list(fit.model):
@@ -280,7 +378,7 @@ def _drop(problem: Problem, fit: Fit, scope: str) -> tuple[Fit, list[str]]:
         if _loss(fit, name) > 50.0 * WORTH:
             continue
         without = refit(problem, rest, scope)
-        if without.cost - fit.cost < WORTH:
+        if without.cost - fit.cost < worth:
             fit = without
             dropped.append(name)
     return fit, dropped
@@ -288,7 +386,7 @@ def _drop(problem: Problem, fit: Fit, scope: str) -> tuple[Fit, list[str]]:
 
 def _loss(fit: Fit, name: str) -> float:
     """Rise of the cost without an effect, its parameters at neutral, to second order: a lower bound for most."""
-    _, _, a = fit.normal.total
+    a = fit.a
     mine = [i for i, (effect, _) in enumerate(fit.parameters) if effect == name]
     rest = [i for i in range(len(a)) if i not in mine]
     info = a[np.ix_(mine, mine)]

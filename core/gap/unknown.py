@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from core.effects import EFFECTS
 from core.effects.base import BODY_STREAMS
-from core.gap.fit import Fit
-from core.gap.generic import Shape, generic_columns
+from core.gap.fit import Fit, without
+from core.gap.generic import TRIFLE, Shape, generic_columns
 from core.gap.linear import HUBER, Problem, White, columns_of, loss, whitened
 
 Array = npt.NDArray[np.float64]
@@ -23,32 +23,47 @@ CHANCE = 45.0
 
 @dataclass(frozen=True)
 class Rest:
-    """Shapes by the drop of the cost that each would bring beside a model, best first; excess by channel."""
+    """Shapes by the drop of the cost that each would bring beside a model, best first; excess by channel.
+
+    sizes: root mean square of each shape over what is immaterial on its channel, by its key.
+    """
 
     shapes: tuple[tuple[Shape, float], ...]
     excess: dict[str, float]
+    sizes: dict[str, float] = field(default_factory=dict)
 
     @property
     def best(self) -> tuple[Shape | None, float]:
-        """The best shape and its drop."""
-        return self.shapes[0] if self.shapes else (None, 0.0)
+        """The best shape of material size, and its drop."""
+        for shape, gain in self.shapes:
+            if self.sizes.get(shape.key, 0.0) > 1.0:
+                return shape, gain
+        return None, 0.0
 
 
 def rest_of(problem: Problem, fit: Fit) -> Rest:
-    """All shapes beside a fitted model, the model's own parameters free to give way."""
+    """All shapes beside a fitted model, the model's own parameters and the nuisances free to give way."""
     own = columns_of(fit.model, ())
     white, _ = whitened(problem, fit.model, own, fit.scope)
-    shapes, generic = generic_columns(problem, fit.model, fit.scope)
-    m, count = len(own), len(shapes)
-    score, info, cross = np.zeros(count), np.zeros(count), np.zeros((count, m))
+    nuisances = problem.nuisances
+    beside = np.flatnonzero(nuisances.beside(list(fit.model)))
+    beside = beside[np.abs(fit.trifles[beside]) < nuisances.limit[beside] * (1.0 - 1e-9)]
+    white = without(white, nuisances, fit.trifles)
+    shapes, generic, sizes = generic_columns(problem, fit.model, fit.scope)
+    m, count, more = len(own), len(shapes), len(nuisances.keys)
+    score, info = np.zeros(count), np.zeros(count)
+    cross, aside = np.zeros((count, m + more)), np.zeros((m, more))
     base, inside = np.zeros(m), np.zeros((m, m))
-    for mine, theirs in zip(white, generic, strict=True):
+    for mine, theirs, flaws in zip(white, generic, nuisances.rows or ({},) * len(white), strict=True):
         for name, one in mine.items():
             weight = HUBER / np.maximum(np.abs(one.residual), HUBER)
+            flaw, place = flaws.get(name, (np.zeros((0, len(weight))), np.zeros(0, dtype=np.int64)))
             if len(one.index):
                 weighted = one.columns * weight
                 base[one.index] += weighted @ one.residual
                 inside[np.ix_(one.index, one.index)] += weighted @ one.columns.T
+                if len(place):
+                    aside[np.ix_(one.index, place)] += weighted @ flaw.T
             if name in theirs:
                 other = theirs[name]
                 weighted = other.columns * weight
@@ -56,17 +71,40 @@ def rest_of(problem: Problem, fit: Fit) -> Rest:
                 info[other.index] += np.einsum("ij,ij->i", weighted, other.columns)
                 if len(one.index):
                     cross[np.ix_(other.index, one.index)] += weighted @ one.columns.T
-    left = info.copy()
-    if m:
-        inverse = np.linalg.pinv(inside, rcond=1e-12)
-        score = score - cross @ (inverse @ base)
-        left = info - np.einsum("ij,jk,ik->i", cross, inverse, cross)
-    gain = np.where(left > 1e-4 * np.maximum(info, 1e-12), score**2 / np.maximum(left, 1e-12), 0.0)
+                if len(place):
+                    cross[np.ix_(other.index, m + place)] += weighted @ flaw.T
+    kept = np.concatenate((np.arange(m), m + beside)).astype(int)
+    alone, _, _ = _taken(score, info, cross[:, :m], inside, base)
+    whole = np.zeros((len(kept), len(kept)))
+    whole[:m, :m], whole[:m, m:], whole[m:, :m] = inside, aside[:, beside], aside[:, beside].T
+    whole[m:, m:] = nuisances.a[np.ix_(beside, beside)] + np.diag(nuisances.sd[beside] ** -2.0)
+    pull = np.concatenate((base, np.zeros(len(beside))))
+    gain, weight_of, left = _taken(score, info, cross[:, kept], whole, pull)
+    part = np.sqrt(np.clip(left, 0.0, None) / np.maximum(info, 1e-12))  # what listed effects cannot do in its stead
+    size = np.abs(weight_of) * part * np.array([sizes.get(shape.key, np.inf) for shape in shapes])
+    limit = np.array([TRIFLE.get(shape.channel, 0.0) for shape in shapes])
     order = np.argsort(-gain)[:12]
-    exact = [gain[i] if k >= REFITTED else _exact(white, generic, int(i), m) for k, i in enumerate(order)]
+    exact = [
+        gain[i] if k >= REFITTED else gain[i] * min(_exact(white, generic, int(i), m) / max(alone[i], 1e-9), 1.5)
+        for k, i in enumerate(order)
+    ]
     ranked = sorted(zip(order.tolist(), exact, strict=True), key=lambda pair: -pair[1])
     excess = {name: float(sum(fit.normal.c[i]) - sum(fit.normal.n[i])) for i, name in enumerate(fit.normal.channels)}
-    return Rest(tuple((shapes[i], float(value)) for i, value in ranked if value > 0.0), excess)
+    told = tuple((shapes[i], float(value)) for i, value in ranked if value > 0.0)
+    return Rest(told, excess, {shapes[i].key: float(size[i] / max(limit[i], 1e-12)) for i in order})
+
+
+def _taken(score: Array, info: Array, cross: Array, inside: Array, pull: Array) -> tuple[Array, Array, Array]:
+    """Per shape the drop of the cost, its weight, and its information, all others free to give way."""
+    left = info.copy()
+    if len(pull):
+        size = np.sqrt(np.maximum(np.diag(inside), 1e-30))
+        inverse = np.linalg.pinv(inside / np.outer(size, size), rcond=1e-12) / np.outer(size, size)
+        score = score - cross @ (inverse @ pull)
+        left = info - np.einsum("ij,ij->i", cross @ inverse, cross)
+    fine = left > 1e-4 * np.maximum(info, 1e-12)
+    weight = np.where(fine, score / np.maximum(left, 1e-12), 0.0)
+    return np.where(fine, score * weight, 0.0), weight, left
 
 
 REFITTED, ROUNDS = 4, 6

@@ -225,7 +225,8 @@ def imu(plan: Plan, params: RobotParams, noise: Noise, body: dict[str, Floats], 
         return (np.interp(real + half, t, total) - np.interp(real - half, t, total)) / (2 * half)
 
     def change(rows: Floats) -> Floats:
-        return (np.interp(real + half, t, rows) - np.interp(real - half, t, rows)) / (2 * half)
+        at = t if rows is theta else t + 0.5 * H  # speeds are those of each step's middle
+        return (np.interp(real + half, at, rows) - np.interp(real - half, at, rows)) / (2 * half)
 
     gz = change(theta)
     fx = change(v) - mean(w * body["side"]) - change(w) * py - mean(w * w) * px
