@@ -25,6 +25,7 @@ def as_json(found: Diagnosis) -> dict[str, Any]:
             "shrink_ci": None if found.gap.shrink_ci is None else [_finite(x) for x in found.gap.shrink_ci],
             "held_out": found.gap.held_out,
             "by_stream": {name: _figures(one) for name, one in found.gap.by_stream.items()},
+            "without": {name: _finite(value) for name, value in found.gap.without.items()},
         },
         "immaterial": [{"effect": one.effect, "parameters": _values(one.parameters)} for one in found.immaterial],
         "unexplained": None

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
+
+import numpy as np
 
 from core.effects import EFFECTS
 from core.gap.candidates import Reach
@@ -10,82 +13,110 @@ from core.gap.experiment import next_experiment
 from core.gap.explain import Search
 from core.gap.floor import Floor
 from core.gap.generic import Shape
-from core.gap.judge import is_material, odds, probabilities, values_of
-from core.gap.leftover import unknown_of
+from core.gap.judge import odds
+from core.gap.judged import Judged, advisable, judged
 from core.gap.rejected import rejected, unseen
-from core.gap.shrink import figures, show
+from core.gap.shrink import Scored, figures, show
+from core.gap.stretches import Part
 from core.gap.tell import Told, evidence_of
-from core.gap.types import Cause, Config, Diagnosis, Immaterial, Unexplained, Value
+from core.gap.types import Cause, Config, Diagnosis, Gap, Immaterial, Unexplained
 from core.gap.where import ground_of, look
 from core.gap.world import WHEELS, World
 from core.robot import EffectSet
 
 
 def conclude(
-    found: Search, fitted_on: Sequence[World], kept: Sequence[World], reach: Reach, known: EffectSet, config: Config
+    found: Search,
+    fitted_on: Sequence[World],
+    kept: Sequence[World],
+    reach: Reach,
+    known: EffectSet,
+    config: Config,
+    part: Part | None = None,
 ) -> Diagnosis:
-    """Size, probability, place, shrinkage and advice from what the search found."""
-    model = found.model
-    values = _values(found)
-    material = [name for name in model if is_material(name, model[name], known, reach, config)]
-    for one in found.noises:
-        plain = {name: value for name, (value, _) in one.parameters.items()}
-        values[one.effect] = {name: Value(*pair) for name, pair in one.parameters.items()}
-        if is_material(one.effect, plain, known, reach, config):
-            material.append(one.effect)
-    unexplained, doubt = unknown_of(found, material)
-    chances = probabilities(found.links, material, doubt)
-    fitted = {name: model[name] for name in model if name in material and chances.get(name, 0.0) > 0.5}
-    noises: dict[str, dict[str, float | str]] = {
-        one.effect: {name: pair[0] for name, pair in one.parameters.items()}
-        for one in found.noises
-        if one.effect in material
-    }
-    floor = found.body.problem.floor
-    small = {name: model[name] for name in model if name not in material}
-    causing = {**fitted, **noises}
-    seen = [show(world, small, causing, floor) for world in fitted_on]
-    scored = [show(world, small, causing, floor) for world in kept]
-    gap = figures(kept or fitted_on, floor, scored or seen, noises, bool(kept), config.seed)
-    ground = ground_of(fitted_on, seen, causing, floor)
-    looked = look(ground, causing, _shape(found) if unexplained is not None else None)
-    causes = _causes(found, chances, _shares(found, material), values)
+    """Size, probability, place, shrinkage and advice. kept: held-out runs; part: else, what was found on a part."""
+    floor, seen_by = found.body.problem.floor, judged(found, reach, known, config)
+    seen = [show(world, seen_by.small, seen_by.causing, floor) for world in fitted_on]
+    apart = [show(world, seen_by.small, seen_by.causing, floor) for world in kept]
+    names = tuple(seen_by.causing)
+    scored = Scored(kept, apart, names, True) if kept else Scored(fitted_on, seen, names, False)
+    noises = seen_by.noises
+    if part is not None and not kept:
+        scored, noises = _on_part(part, reach, known, config, floor, tuple(noises))
+    gap, harmful = figures(scored, floor, noises, config.seed)
+    seen_by = advisable(seen_by, harmful)
+    if harmful:  # told again without what does harm
+        seen = [show(world, seen_by.small, seen_by.causing, floor) for world in fitted_on]
+        apart = [show(world, seen_by.small, seen_by.causing, floor) for world in kept]
+    ground = ground_of(fitted_on, seen, seen_by.causing, floor)
+    unexplained = seen_by.unexplained
+    looked = look(ground, seen_by.causing, _shape(found) if unexplained is not None else None)
+    causes = _causes(found, seen_by, _shares(found, seen_by, gap))
     sure = [one for one in causes if one.probability > 0.5]
-    verdict = "explained" if sure else "none"
-    if unexplained is not None:
-        verdict = "partly_explained" if sure else "unknown"
-    rest = {"none": SURE_NONE if verdict == "none" else 0.0, "unknown": SURE_NONE if unexplained is not None else 0.0}
-    rest["unknown"] = max(rest["unknown"], *doubt.values()) if doubt else rest["unknown"]
-    listed = (name for name in (*model, *noises) if name not in material and name in values)
+    verdict = _verdict(sure, unexplained)
+    advised = next_experiment(fitted_on[0].run, seen_by.causing, found.links, causes, floor, reach)
+    told = Told(found.model, seen_by, causes, reach, advised, config.seed)
+    listed = (name for name in (*found.model, *noises) if name not in seen_by.material and name in seen_by.values)
     return Diagnosis(
         verdict=verdict,
         where=looked.where if verdict != "none" else (),
         causes=causes,
         gap=gap,
-        immaterial=tuple(Immaterial(name, values[name]) for name in listed),
+        immaterial=tuple(Immaterial(name, seen_by.values[name]) for name in listed),
         unexplained=unexplained,
-        next_experiment=next_experiment(fitted_on[0].run, causing, causes),
-        rejected=rejected(found, material, chances),
+        next_experiment=None if advised is None else advised[0],
+        rejected=rejected(found, seen_by.material, seen_by.chances),
         unseen=unseen(found, reach),
-        probabilities={**chances, **rest},
-        model={**model, **noises},
+        probabilities={**seen_by.chances, **_others(verdict, seen_by)},
+        model={name: values for name, values in {**found.model, **seen_by.noises}.items() if name not in harmful},
         noise={name: floor.sigma[name] / floor.sheet[name] for name in floor.sigma if name in floor.sheet},
-        notes=_notes(floor),
+        notes=(*_notes(floor), *_warnings(harmful, scored, seen_by)),
         link=_link(sure, unexplained),
         runtime_s=0.0,
-        evidence=evidence_of(
-            found, Told(found.model, causing, causes, chances, reach), ground, seen, looked, kept, scored
-        ),
+        evidence=evidence_of(found, told, ground, seen, looked, kept, apart),
     )
 
 
-def _causes(
-    found: Search, chances: Mapping[str, float], shares: Mapping[str, float], values: Mapping[str, Mapping[str, Value]]
-) -> tuple[Cause, ...]:
+def _on_part(
+    part: Part, reach: Reach, known: EffectSet, config: Config, floor: Floor, louder: Sequence[str]
+) -> tuple[Scored, EffectSet]:
+    """The stretches that took no part, replayed with what was found without them. louder: noise found on the whole."""
+    inner = judged(part.found, reach, known, config)
+    noises = {name: values for name, values in inner.noises.items() if name in louder}  # the cuts are no shadow
+    inner = dataclasses.replace(inner, noises=noises)
+    shown = [show(world, inner.small, inner.causing, floor) for world in part.worlds]
+    return Scored(part.worlds, shown, tuple(inner.causing), True, part.spans), inner.noises
+
+
+def _verdict(sure: Sequence[Cause], unexplained: Unexplained | None) -> str:
+    if unexplained is not None:
+        return "partly_explained" if sure else "unknown"
+    return "explained" if sure else "none"
+
+
+def _others(verdict: str, seen_by: Judged) -> dict[str, float]:
+    """Probability of "none" and "unknown"."""
+    strange = SURE_NONE if seen_by.unexplained is not None else 0.0
+    return {
+        "none": SURE_NONE if verdict == "none" else 0.0,
+        "unknown": max(strange, *seen_by.doubt.values()) if seen_by.doubt else strange,
+    }
+
+
+def _warnings(harmful: Sequence[str], scored: Scored, seen_by: Judged) -> tuple[str, ...]:
+    """What a user must know before following the advice."""
+    out = [f"adding {name} makes the held-out data worse: not advised" for name in harmful]
+    if scored.spans is not None and set(scored.causes) != set(seen_by.causing):
+        told = ", ".join(scored.causes) or "no effect"
+        out.append(f"on the part of the runs that the score was fitted on, the choice is: {told}")
+    return tuple(out)
+
+
+def _causes(found: Search, seen_by: Judged, shares: Mapping[str, float]) -> tuple[Cause, ...]:
     """The joint explanation by share, then rivals by probability."""
     causes = [
-        Cause(name, p, shares.get(name, 0.0), values.get(name, {}), _confusable(name, found))
-        for name, p in chances.items()
+        Cause(name, p, shares.get(name, 0.0), seen_by.values.get(name, {}), _confusable(name, found))
+        for name, p in seen_by.chances.items()
     ]
     causes.sort(key=lambda one: (one.probability <= 0.5, -one.share if one.probability > 0.5 else -one.probability))
     return tuple(causes)
@@ -95,22 +126,20 @@ SURE_NONE = 0.95
 """Of "none" where nothing material was found: what a clean run's false alarms leave."""
 
 
-def _values(found: Search) -> dict[str, dict[str, Value]]:
-    out: dict[str, dict[str, Value]] = {}
-    for one in found.links:
-        out |= {name: values_of(one.fit, name) for name in one.fit.model}
-    return out
-
-
-def _shares(found: Search, material: Sequence[str]) -> dict[str, float]:
-    """Each effect's part of all that was explained."""
+def _shares(found: Search, seen_by: Judged, gap: Gap) -> dict[str, float]:
+    """What leaving each cause out brings back of the explained gap; of noise, its part of all that was earned."""
     earned: dict[str, float] = {}
     for one in found.links:
         earned |= one.earned
     earned |= {one.effect: one.gain for one in found.noises}
-    earned = {name: value for name, value in earned.items() if name in material}
+    earned = {name: value for name, value in earned.items() if name in seen_by.material}
     total = sum(earned.values())
-    return {name: value / total for name, value in earned.items()} if total > 0.0 else {}
+    out = {name: value / total for name, value in earned.items()} if total > 0.0 else {}
+    explained = gap.total.before - gap.total.after
+    if explained > 0.0:
+        for name, left in gap.without.items():
+            out[name] = float(np.clip((left - gap.total.after) / explained, 0.0, 1.0))
+    return out
 
 
 def _confusable(name: str, found: Search) -> tuple[str, ...]:

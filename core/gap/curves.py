@@ -37,12 +37,13 @@ PREFERRED = 0.97
 
 @dataclass(frozen=True)
 class Samples:
-    """One channel of all runs: (R, N) values of R replays in SI, (N,) regressors, and the block of time of each."""
+    """One channel of all runs: (R, N) values of R replays in SI, (N,) regressors, each sample's block and run."""
 
     unit: str
     values: Array
     regressors: dict[str, Array]
     part: npt.NDArray[np.int64]
+    run: npt.NDArray[np.int64]
 
 
 def unit_of(stream: str) -> str:
@@ -61,8 +62,8 @@ def samples(
     worlds: Sequence[World], moved: Sequence[Motion], replays: Sequence[Sequence[Replay]], stream: str, floor: Floor
 ) -> Samples | None:
     """replays: per run, those to look at. None where no run has enough readings."""
-    values, rows, parts, first = [], [], [], 0
-    for world, moves, shown in zip(worlds, moved, replays, strict=True):
+    values, rows, parts, numbers, first = [], [], [], [], 0
+    for k, (world, moves, shown) in enumerate(zip(worlds, moved, replays, strict=True)):
         if stream not in world.readings or len(world.times[stream]) < 8:
             continue
         t = world.times[stream]
@@ -76,13 +77,14 @@ def samples(
         values.append(block[:, keep])
         rows.append({name: column[keep] for name, column in _regressors(world, moves, t).items()})
         parts.append((t[keep] / PART).astype(np.int64) + first)
+        numbers.append(np.full(int(keep.sum()), k))
         first += int(t[-1] / PART) + 1
     if not values:
         return None
     names = [name for name in UNITS if all(name in row for row in rows)]
     unit = unit_of(stream) + ("/s" if rated(stream) else "")
     table = {name: np.concatenate([row[name] for row in rows]) for name in names}
-    return Samples(unit, np.concatenate(values, axis=1), table, np.concatenate(parts))
+    return Samples(unit, np.concatenate(values, axis=1), table, np.concatenate(parts), np.concatenate(numbers))
 
 
 def _regressors(world: World, moved: Motion, t: Array) -> dict[str, Array]:

@@ -22,6 +22,7 @@ from core.gap.explain import Progress, explain, silent
 from core.gap.floor import Floor
 from core.gap.linear import Problem, with_floor
 from core.gap.reference import restarts_of
+from core.gap.stretches import on_a_part
 from core.gap.types import Config, Diagnosis
 from core.gap.world import World, make_world
 from core.robot import EffectSet
@@ -59,7 +60,8 @@ def diagnose(
         found = explain(with_floor(Problem(worlds, Floor({}, {}, {}), known), {}), tried)
     progress(0.7, "scoring")
     kept = tuple(make_world(run, restarts_of(run, config.window, found.model)) for run in held_out)
-    out = conclude(found, worlds, kept, reach, known, config)
+    part = None if kept else on_a_part(runs, found, tried, known, config)
+    out = conclude(found, worlds, kept, reach, known, config, part)
     return dataclasses.replace(out, runtime_s=time.perf_counter() - began)
 
 

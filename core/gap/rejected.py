@@ -21,11 +21,13 @@ def rejected(found: Search, material: Sequence[str], chances: Mapping[str, float
                     f"adds nothing beside the causes (drop of deviance {gain:.0f}; chance gives up to {WORTH:.0f})"
                 )
         for step in one.steps:
-            best = dict(step.gains).get(step.action[4:], 0.0)
+            strange = step.action.startswith("unknown")
+            what = "a shape of no listed effect" if strange else step.action[4:]
+            best = one.unknown[1] if strange and one.unknown else dict(step.gains).get(what, 0.0)
             for name, gain in step.gains:
                 if name not in one.fit.model:
                     out[name] = (
-                        f"refitted, it takes {max(gain, 0.0) / max(best, 1.0):.1%} of what {step.action[4:]} takes"
+                        f"refitted, it takes {min(max(gain, 0.0) / max(best, 1.0), 1.0):.1%} of what {what} takes"
                     )
     return tuple(Rejected(name, reason) for name, reason in out.items() if name not in material)
 

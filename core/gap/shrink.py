@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from core.gap.floor import Floor, stated, wrap
+from core.gap.reference import WINDOW
 from core.gap.types import Figures, Gap
 from core.gap.whiten import windows_of
 from core.gap.world import WHEELS, World
@@ -26,8 +27,8 @@ from core.simulation.simulate import simulate_sets
 
 Array = npt.NDArray[np.float64]
 
-BLOCK = 10.0
-"""Blocks of the bootstrap [s]."""
+BLOCK, BLOCKS = 10.0, 10
+"""Blocks of the bootstrap [s]; shorter, down to a window, where there would be fewer than so many."""
 DRAWS = 400
 FALLBACK_FLOOR = 1.0
 NOISES = {
@@ -124,26 +125,63 @@ def show(world: World, small: EffectSet, causes: EffectSet, floor: Floor) -> Sho
     )
 
 
-def figures(
-    worlds: Sequence[World], floor: Floor, shown: Sequence[Shown], noises: EffectSet, held_out: bool, seed: int
-) -> Gap:
-    """The gap over all runs. noises: effects that only add noise."""
-    before, after = [one.bare for one in shown], [one.full for one in shown]
+Spans = Sequence[tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Scored:
+    """What is scored: worlds with their replays; spans: of each, the stretches that count (None: all of it)."""
+
+    worlds: Sequence[World]
+    shown: Sequence[Shown]
+    causes: tuple[str, ...]
+    held_out: bool
+    spans: Sequence[Spans] | None = None
+
+
+def figures(scored: Scored, floor: Floor, noises: EffectSet, seed: int) -> tuple[Gap, tuple[str, ...]]:
+    """The gap over all that is scored; and causes whose leaving out surely makes it smaller. noises: only add noise."""
+    worlds = scored.worlds
     names = [name for name in worlds[0].channels if all(name in w.channels for w in worlds)]
-    sums = np.array([_block_sums(b, a, names) for w, (b, a) in _blocks(worlds, before, after)])
+    sums = np.array(_blocks(scored, names))
     level = floors(worlds[0], floor)
     base = np.array([level[name] for name in names])
     louder = {name for effect in noises for name in NOISES[effect]}
-    total, shrink, by_stream = _gap(sums, names, base, louder, worlds, floor)
-    draws = []
-    rng = np.random.default_rng(seed)
+    total, shrink, by_stream = _gap(sums[:, :3], names, base, louder)
+    real = [name for name in scored.causes if name not in NOISES]
+    alone = {name: _gap(sums[:, [0, 1, 3 + k]], names, base, louder)[0].after for k, name in enumerate(real)}
+    ci: tuple[float, float] | None = None
+    harm: tuple[str, ...] = ()
     if len(sums) > 3:
-        for _ in range(DRAWS):
-            chosen = sums[rng.integers(0, len(sums), len(sums))]
-            draws.append(_gap(chosen, names, base, louder, worlds, floor)[1])
-    known = [d for d in draws if d is not None]
-    ci = (float(np.quantile(known, 0.05)), float(np.quantile(known, 0.95))) if shrink is not None and known else None
-    return Gap(total, shrink, ci, held_out, by_stream)
+        count = np.random.default_rng(seed).multinomial(len(sums), np.full(len(sums), 1.0 / len(sums)), DRAWS)
+        drawn = np.tensordot(count.astype(np.float64), sums, axes=1)
+        before, after, ground, *others = _totals(drawn, base, np.array([name in louder for name in names]))
+        ratio = (before - after) / np.maximum(before - ground, 1e-9)
+        if shrink is not None:
+            ci = (float(np.quantile(ratio, 0.05)), float(np.quantile(ratio, 0.95)))
+        worse = [float(np.mean(other < after)) > SURELY for other in others]
+        harm = tuple(
+            name
+            for name, surely in zip(real, worse, strict=True)
+            if scored.held_out and surely and alone[name] < (1.0 - HARM) * total.after
+        )
+    return Gap(total, shrink, ci, scored.held_out, by_stream, alone), harm
+
+
+def _totals(sums: Array, base: Array, louder: npt.NDArray[np.bool_]) -> list[Array]:
+    """(D,) totals of draws (D, 1 + R, C): before, after, floor, then after without each cause."""
+    n = sums[:, :1]
+    rms = np.sqrt(sums[:, 1:] / np.maximum(n, 1.0))
+    ground = np.minimum(base, np.minimum(rms[:, 0], rms[:, 1]))
+    rms[:, 1:] = np.where(louder, 1.0, rms[:, 1:])
+    ground = np.where(louder, 1.0, ground)
+    some = n[:, 0] > 0.0
+    rows = [rms[:, 0], rms[:, 1], ground, *(rms[:, k] for k in range(2, rms.shape[1]))]
+    return [np.sqrt(np.sum(row**2 * some, axis=1) / np.maximum(some.sum(axis=1), 1)) for row in rows]
+
+
+SURELY, HARM = 0.9, 0.005
+"""An effect does harm if leaving it out lowers the held-out gap by this share, in this share of the draws."""
 
 
 def scored(world: World, floor: Floor, before: Replay, after: Replay, effects: EffectSet) -> Gap:
@@ -151,35 +189,35 @@ def scored(world: World, floor: Floor, before: Replay, after: Replay, effects: E
     names = world.channels
     level = floors(world, floor)
     louder = {name for effect in effects if effect in NOISES for name in NOISES[effect]}
-    sums = _block_sums(before, after, names)[None]
-    total, shrink, by = _gap(sums, names, np.array([level[name] for name in names]), louder, [world], floor)
+    sums = _block_sums([before, after], names)[None]
+    total, shrink, by = _gap(sums, names, np.array([level[name] for name in names]), louder)
     return Gap(total, shrink, None, False, by)
 
 
-def _blocks(
-    worlds: Sequence[World], before: list[Replay], after: list[Replay]
-) -> list[tuple[World, tuple[Replay, Replay]]]:
+def _blocks(scored: Scored, names: Sequence[str]) -> list[Array]:
+    """Sums of each block of BLOCK of all that counts."""
+    ends = [max(float(t[-1]) for t in world.times.values()) + 1e-6 for world in scored.worlds]
+    spans = scored.spans or [((0.0, end),) for end in ends]
+    whole = sum(b - a for each in spans for a, b in each)
+    length = float(np.clip(whole / BLOCKS, WINDOW, BLOCK))
     out = []
-    for world, one, two in zip(worlds, before, after, strict=True):
-        end = max(float(t[-1]) for t in world.times.values())
-        out += [(world, (_cut(one, start), _cut(two, start))) for start in np.arange(0.0, end, BLOCK)]
+    for one, each in zip(scored.shown, spans, strict=True):
+        replays = [one.bare, one.full, *one.without]
+        for first, last in each:
+            starts = np.arange(first, last, length)
+            out += [_block_sums([_cut(r, a, min(a + length, last)) for r in replays], names) for a in starts]
     return out
 
 
-def _cut(one: Replay, start: float) -> Replay:
-    rows = {n: slice(*np.searchsorted(t, (start, start + BLOCK))) for n, t in one.times.items() if n in one.values}
+def _cut(one: Replay, start: float, end: float) -> Replay:
+    rows = {n: slice(*np.searchsorted(t, (start, end))) for n, t in one.times.items() if n in one.values}
     return dataclasses.replace(one, values={n: v[rows[n]] for n, v in one.values.items()})
 
 
-def _block_sums(before: Replay, after: Replay, names: Sequence[str]) -> Array:
-    """(3, C) readings, sums of squares before and after in one block."""
-    return np.array(
-        [
-            [len(before.values[n]) for n in names],
-            [_square(before.values[n]) for n in names],
-            [_square(after.values[n]) for n in names],
-        ]
-    )
+def _block_sums(replays: Sequence[Replay], names: Sequence[str]) -> Array:
+    """(1 + R, C) readings, and the sum of squares of each replay in one block."""
+    counts = [len(replays[0].values[n]) for n in names]
+    return np.array([counts, *([_square(one.values[n]) for n in names] for one in replays)], dtype=np.float64)
 
 
 def _square(values: Array) -> float:
@@ -188,7 +226,7 @@ def _square(values: Array) -> float:
 
 
 def _gap(
-    sums: Array, names: Sequence[str], base: Array, louder: set[str], worlds: Sequence[World], floor: Floor
+    sums: Array, names: Sequence[str], base: Array, louder: set[str]
 ) -> tuple[Figures, float | None, dict[str, Figures]]:
     n, before, after = sums.sum(axis=0)
     some = n > 0

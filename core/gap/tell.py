@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from core.gap.candidates import Reach
+from core.gap.described import described
 from core.gap.energy import energies
-from core.gap.evidence import Evidence, RunEvidence
+from core.gap.evidence import Drive, Evidence, RunEvidence
 from core.gap.explain import Search
 from core.gap.floor import Floor, stated
+from core.gap.judged import Judged
 from core.gap.links import links, noise_floor
 from core.gap.motion import motion
 from core.gap.paths import run_evidence
 from core.gap.rejected import considered
 from core.gap.shrink import Shown
 from core.gap.signatures import signatures
-from core.gap.types import Cause
+from core.gap.types import Cause, NextExperiment
 from core.gap.visible import cannot_see
 from core.gap.where import Findings, Ground
 from core.gap.world import World
@@ -28,13 +30,14 @@ TOGETHER = 0.02
 
 @dataclass(frozen=True)
 class Told:
-    """What was concluded, as far as the evidence needs it. model: all effects; causing: the material ones."""
+    """What was concluded, as far as the evidence needs it. model: all effects that were fitted."""
 
     model: EffectSet
-    causing: EffectSet
+    judged: Judged
     causes: Sequence[Cause]
-    chances: Mapping[str, float]
     reach: Reach
+    advised: tuple[NextExperiment, Drive] | None
+    seed: int
 
 
 def evidence_of(
@@ -49,9 +52,13 @@ def evidence_of(
         links=links(found),
         cells=looked.cells,
         runs=_runs(told, ground, kept, kept_shown, floor),
-        signatures=signatures(ground, shown, told.causing, floor),
+        signatures=signatures(ground, shown, told.judged.causing, floor),
         sets=sets_of(told.causes),
-        considered=considered(found, list(told.causing), told.chances),
+        considered=considered(found, list(told.judged.causing), told.judged.chances),
+        unexplained=None
+        if told.judged.unexplained is None
+        else described(ground, shown, told.judged.unexplained, found, floor, told.seed),
+        next=None if told.advised is None else told.advised[1],
         cannot_see=cannot_see(screens, told.model, ground.worlds[0].channels, told.reach, floor),
     )
 

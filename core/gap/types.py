@@ -84,13 +84,17 @@ class Figures:
 
 @dataclass(frozen=True)
 class Gap:
-    """How far: in total with the shrinkage and its 90 % interval, and per stream. held_out: on runs kept apart."""
+    """How far: in total with the shrinkage and its 90 % interval, and per stream.
+
+    held_out: on runs, or stretches, that took no part in choice or fit. without: the gap after, but for one cause.
+    """
 
     total: Figures
     shrink: float | None
     shrink_ci: tuple[float, float] | None
     held_out: bool
     by_stream: Mapping[str, Figures]
+    without: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

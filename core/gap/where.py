@@ -226,7 +226,7 @@ def _rows(ground: Ground, name: str, share: float, p: float, causes: EffectSet, 
     rest = max(1.0 - sum(by.values()), 0.0)
     if out and (shape is None or rest < LEAST_SHARE):
         return list(out.values())
-    spans, place = _intervals(ground, name), _hot_place(ground, name)
+    spans, place = _intervals(ground, name), hot_place(ground, name)
     regime = "place" if place is not None else told or _regime(ground, name)
     out.setdefault(regime, Where(name, regime, share * rest, p, spans[0] if spans else (), place, spans))
     return list(out.values())
@@ -279,12 +279,12 @@ def _intervals(ground: Ground, name: str) -> tuple[tuple[tuple[float, float], ..
     return tuple(out) if few and held > INSIDE * total and seconds < LOCAL * whole else ()
 
 
-def _hot_place(ground: Ground, name: str) -> Place | None:
+def hot_place(ground: Ground, name: str, field: str = "excess") -> Place | None:
     """The disc of the map that holds nearly all of the excess of a stream, if it is small and much passed otherwise."""
     x, y = _places(ground, name)
     if not np.isfinite(x).all():
         return None
-    excess, dof = np.maximum(ground.all(name, "excess"), 0.0), ground.all(name, "dof")
+    excess, dof = np.maximum(ground.all(name, field), 0.0), ground.all(name, "dof")
     moving = np.concatenate(
         [np.hypot(m.v, m.w) > 0.05 for m, one in zip(ground.moved, ground.energy, strict=True) if name in one]
     )

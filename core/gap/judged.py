@@ -1,0 +1,70 @@
+"""What a search found, judged by size and probability: the material causes, the trifles, the rest."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from core.gap.candidates import Reach
+from core.gap.explain import Search
+from core.gap.judge import is_material, probabilities, values_of
+from core.gap.leftover import unknown_of
+from core.gap.types import Config, Unexplained, Value
+from core.robot import EffectSet
+
+
+@dataclass(frozen=True)
+class Judged:
+    """material: effects beyond their tolerance. doubt: that one only stood in for what is unlisted. small: the others.
+
+    fitted: the material ones that are likely; noises: those that only add noise.
+    """
+
+    values: Mapping[str, Mapping[str, Value]]
+    material: tuple[str, ...]
+    chances: Mapping[str, float]
+    doubt: Mapping[str, float]
+    unexplained: Unexplained | None
+    fitted: EffectSet
+    small: EffectSet
+    noises: EffectSet
+
+    @property
+    def causing(self) -> EffectSet:
+        """All that is told as a cause."""
+        return {**self.fitted, **self.noises}
+
+
+def judged(found: Search, reach: Reach, known: EffectSet, config: Config) -> Judged:
+    """Size first: what is below its tolerance is no cause, however significant."""
+    model = found.model
+    values: dict[str, Mapping[str, Value]] = {}
+    for link in found.links:
+        values |= {name: values_of(link.fit, name) for name in link.fit.model}
+    material = [name for name in model if is_material(name, model[name], known, reach, config)]
+    noises: dict[str, dict[str, float | str]] = {}
+    for one in found.noises:
+        plain: dict[str, float | str] = {name: value for name, (value, _) in one.parameters.items()}
+        values[one.effect] = {name: Value(*pair) for name, pair in one.parameters.items()}
+        if is_material(one.effect, plain, known, reach, config):
+            material.append(one.effect)
+            noises[one.effect] = plain
+    unexplained, doubt = unknown_of(found, material)
+    chances = probabilities(found.links, material, doubt)
+    fitted = {name: model[name] for name in model if name in material and chances.get(name, 0.0) > 0.5}
+    small = {name: model[name] for name in model if name not in material}
+    return Judged(values, tuple(material), chances, doubt, unexplained, fitted, small, noises)
+
+
+def advisable(found: Judged, harmful: Sequence[str]) -> Judged:
+    """Without effects that make held-out data worse: whatever they explain, it is not what the robot does."""
+    if not harmful:
+        return found
+    chances = {name: min(p, UNADVISED) if name in harmful else p for name, p in found.chances.items()}
+    fitted = {name: values for name, values in found.fitted.items() if name not in harmful}
+    return dataclasses.replace(found, chances=chances, fitted=fitted)
+
+
+UNADVISED = 0.45
+"""Probability left to an effect that makes held-out data worse."""
