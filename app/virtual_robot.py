@@ -22,6 +22,7 @@ from app.errors import ForbiddenError
 from app.settings import Settings
 
 NAME = "virtual"
+LOG = "virtual-robot.log"  # in the data folder: what the last one said
 IDLE_S = 600.0  # unwatched for so long, it stops
 CHECK_S = 5.0
 STOP_S = 3.0  # for it to say good-bye
@@ -80,9 +81,10 @@ class VirtualRobot:
             token = {"DRIFTSCOPE_TOKEN": self._settings.token} if self._settings.token else {}
             paths = os.pathsep.join([str(Path(__file__).resolve().parents[1]), os.environ.get("PYTHONPATH", "")])
             environment = {**os.environ, **token, "PYTHONPATH": paths.rstrip(os.pathsep)}
-            self._child = subprocess.Popen(
-                command, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL
-            )
+            with (self._settings.data / LOG).open("wb") as log:
+                self._child = subprocess.Popen(
+                    command, env=environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log
+                )
 
     def stop(self) -> None:
         """Stop it and wait until it is gone; blocking."""

@@ -13,7 +13,7 @@ export const LIVE_TERMS = {
   live_limit_w: ["Turn limit", "What full stick to the side means. The robot's own limit is the end of the slider."],
   live_position: ["Position", "Where the method says the robot is, in the map, ± one standard deviation that it claims itself.", null, "monitor#positions"],
   live_heading: ["Heading", "Counter-clockwise from the map's x axis, ± one standard deviation.", null, "monitor#positions"],
-  live_apart: ["From fused", "Distance between the position by this method and the one from all sensors.", "‖p − p_fused‖", "monitor#positions"],
+  live_apart: ["From truth, from fused", "Distance between the position by this method and the reference, where the robot streams one, else the one from all sensors.", "‖p − p_ref‖", "monitor#positions"],
   live_gyro: ["Gyro", "Turn rate about the vertical as the gyro reads it, bias and noise in it.", null, "monitor#signals"],
   live_accelerometer: ["Accelerometer", "Specific force along the robot's axes: forward and to the left.", null, "monitor#signals"],
   live_speed: ["Speed", "What was commanded, and how fast the fused path moves along its heading.", null, "monitor#signals"],

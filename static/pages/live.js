@@ -41,6 +41,7 @@ function row(robot) {
 function paint() {
   $("#list").hidden = robots.length === 0;
   $("#table").tBodies[0].replaceChildren(...robots.map(row));
+  if ($("#start")) $("#start").hidden = robots.some((r) => r.robot === "virtual" && r.state === "live");
   document.documentElement.dataset.robots = String(robots.length);
 }
 

@@ -12,8 +12,10 @@ const NONE = "–";
 
 export function mountPositions(table, { toggle }) {
   const rows = new Map();
-  const heads = [["Method"], ["x", "live_position"], ["y", "live_position"], ["heading", "live_heading"], ["from fused", "live_apart"]];
+  const heads = [["Method"], ["x", "live_position"], ["y", "live_position"], ["heading", "live_heading"], ["", "live_apart"]];
   table.tHead.replaceChildren(h("tr", {}, heads.map(([label, term], i) => h("th", { scope: "col", class: i ? "num" : undefined, "data-term": term, tabindex: term ? "0" : undefined }, label))));
+
+  const apart = table.tHead.querySelector("th:last-child");
 
   function setMethods(methods, visible) {
     rows.clear();
@@ -36,7 +38,9 @@ export function mountPositions(table, { toggle }) {
     row.row.replaceChildren(row.row.firstChild, ...(reason ? [told] : row.cells));
   }
 
-  function tell(poses, leading) {
+  // referenceAt(t): pose of the method `against` at that moment, so that who is late is not wrong for it.
+  function tell(poses, against, referenceAt) {
+    apart.textContent = `from ${against}`;
     for (const [method, row] of rows) {
       const pose = poses.get(method);
       if (!pose || row.reason) continue;
@@ -45,8 +49,9 @@ export function mountPositions(table, { toggle }) {
       put(0, pose.x, pose.sd_x, length);
       put(1, pose.y, pose.sd_y, length);
       put(2, pose.theta === null ? null : wrapped(pose.theta), pose.sd_theta, angle);
-      const apart = leading && pose !== leading ? Math.hypot(pose.x - leading.x, pose.y - leading.y) : null;
-      row.cells[3].replaceChildren(apart === null ? NONE : show(length(apart)));
+      const reference = method === against ? null : referenceAt(pose.t);
+      const away = reference ? Math.hypot(pose.x - reference.x, pose.y - reference.y) : null;
+      row.cells[3].replaceChildren(away === null ? NONE : show(length(away)));
     }
   }
 
@@ -115,19 +120,20 @@ export function tellEvents(host, events) {
 
 // ---- the connection
 
-const STREAMS = { imu: "IMU", wheels: "wheels", beacon: "beacon", ranges: "ranges", commands: "commands", truth: "truth" };
+const STREAMS = { imu: "IMU", wheels: "wheels", beacon: "beacon", ranges: "ranges", commands: "commands", truth: "truth" }; // most telling first
 
 export function tellQuality(host, quality) {
-  const rates = Object.entries(quality.rate_hz ?? {}).filter(([, hz]) => hz > 0).map(([name, hz]) => `${STREAMS[name] ?? name} ${number(hz, hz < 10 ? 2 : hz < 100 ? 2 : 3)}`);
+  const told = (name) => `${STREAMS[name]} ${number(quality.rate_hz[name], quality.rate_hz[name] < 100 ? 2 : 3)}`;
+  const rates = Object.keys(STREAMS).filter((name) => quality.rate_hz[name] > 0).map(told);
   const ms = (value) => (value === null || value === undefined ? NONE : `${number(value, value < 10 ? 2 : 3)} ms`);
   const offset = quality.clock_offset_s;
   const facts = [
-    ["rate", "live_rate", rates.length ? `${rates.join(" · ")} Hz` : NONE],
+    ["rate", "live_rate", rates.length ? `${rates.slice(0, 3).join(" · ")} Hz` : NONE, rates.length > 3 ? `${rates.join(", ")} Hz.` : undefined],
     ["latency", "live_latency", `${ms(quality.latency_ms)}${quality.latency_p99_ms === null ? "" : ` (99 %: ${number(quality.latency_p99_ms, 2)})`}`],
     ["loss", "live_loss", `${number(100 * quality.loss, 2)} %${quality.late_rows ? `, ${number(quality.late_rows, 3)} late rows` : ""}`],
     ["clock", "live_clock", offset === null ? NONE : `${offset < 0 ? "−" : "+"}${Math.abs(offset) < 1 ? `${number(1000 * Math.abs(offset), 2)} ms` : seconds(Math.abs(offset)).text}`],
   ];
-  host.replaceChildren(...facts.flatMap(([name, term, text]) => [h("dt", { "data-term": term, tabindex: "0" }, name), h("dd", { "data-quality": name }, text)]));
+  host.replaceChildren(...facts.flatMap(([name, term, text, all]) => [h("dt", { "data-term": term, "data-hint": all, tabindex: "0" }, name), h("dd", { "data-quality": name }, text)]));
 }
 
 /** One sentence of where the robot is and how sure that is. */
@@ -135,7 +141,7 @@ export function sentence({ robot, state, silent, t, speed, turn, pose, links, le
   if (state === "waiting") return `No robot called ${robot} is connected. This page begins by itself when it is.`;
   if (state === "ended") return `${robot} has ended its run after ${duration(t).text}.`;
   if (state === "silent") return `${robot} has been silent for ${duration(silent).text}. The run goes on where it stopped when it speaks again.`;
-  const motion = Math.abs(speed) < 0.01 && Math.abs(turn) < 0.02 ? "stands" : `drives at ${number(speed, 2)} m/s and turns at ${angle(turn).value} °/s`;
+  const motion = Math.abs(speed) < 0.01 && Math.abs(turn) < 0.02 ? "stands" : `drives at ${number(speed, 2)} m/s${Math.abs(turn) < 0.02 ? "" : ` and turns at ${number(turn * (180 / Math.PI), 2)} °/s`}`;
   const known = pose && pose.sd_x !== null ? `${methodStyle(leading).label} knows where to ± ${length(Math.hypot(pose.sd_x, pose.sd_y)).text}` : pose ? `${methodStyle(leading).label} states no uncertainty` : "no method has a position yet";
   const out = links.filter((l) => l.warn).map((l) => l.link);
   const told = links.filter((l) => l.excess !== null).length;

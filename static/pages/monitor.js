@@ -4,6 +4,7 @@ import { api, problemNote } from "../lib/api.js";
 import { $, h, pageData } from "../lib/dom.js";
 import { duration } from "../lib/format.js";
 import { keys } from "../lib/keys.js";
+import { poseAt } from "../lib/map-view.js";
 import { METHOD_KEYS, sortMethods } from "../lib/methods.js";
 import { mountScene } from "../lib/scene.js";
 import { createTimeCursor } from "../lib/timecursor.js";
@@ -56,6 +57,7 @@ function snapshot(m) {
   run.events = new Map(m.events.map((e) => [`${e.kind} ${e.t0}`, e]));
   tracks.clear();
   for (const method of sortMethods(Object.keys(m.paths))) trackOf(method).extend(m.paths[method], null);
+  reference(m.signals);
   run.beacons = beaconsOf(m.run);
   showMethods();
   view.setRun(tracks, run.beacons);
@@ -79,6 +81,7 @@ function update(m) {
     fresh ||= !tracks.has(method);
     trackOf(method).extend(path, gap);
   }
+  fresh = reference(m.signals) || fresh;
   for (const [method, pose] of Object.entries(m.poses)) {
     fresh ||= !tracks.has(method);
     trackOf(method).now = pose;
@@ -151,6 +154,24 @@ function connection(state, wait) {
   });
 }
 
+// Where the robot streams its own reference, as virtual ones do: a path like the methods'. Whether it is the first of it.
+function reference({ "truth.x": x, "truth.y": y, "truth.theta": theta }) {
+  if (!x || !y || !x.t.length) return false;
+  const first = !tracks.has("truth");
+  const at = (signal) => (signal?.t.length ? x.t.map((t) => between(signal, t)) : null);
+  trackOf("truth").extend({ t: x.t, x: x.y, y: at(y), theta: at(theta) }, null);
+  return first;
+}
+
+// Linear between readings: columns are thinned each by itself.
+function between({ t, y }, time) {
+  let i = 1;
+  while (i < t.length - 1 && t[i] < time) i++;
+  if (t.length < 2 || time <= t[0]) return y[0];
+  const share = Math.min(1, (time - t[i - 1]) / (t[i] - t[i - 1]));
+  return y[i - 1] + share * (y[i] - y[i - 1]);
+}
+
 function trackOf(method) {
   if (!tracks.has(method)) tracks.set(method, createTrack());
   return tracks.get(method);
@@ -163,6 +184,23 @@ function beaconsOf(meta) {
 
 const worst = (links) => links.reduce((most, l) => (l.excess === null ? most : Math.max(most ?? 0, l.excess)), null);
 
+// Twice, so that no run ends by a slip of the hand.
+async function end() {
+  const button = $("#end");
+  if (!button.classList.contains("danger")) {
+    button.classList.add("danger");
+    button.textContent = "Really end it?";
+    setTimeout(() => (button.classList.remove("danger"), (button.textContent = "End run")), 4000);
+    return;
+  }
+  try {
+    await api(`live/${encodeURIComponent(robot)}/end`, { method: "POST" });
+  } catch (error) {
+    $("#ended").hidden = false;
+    $("#ended").replaceChildren(problemNote(error));
+  }
+}
+
 // ---- drawing
 
 function paint(now) {
@@ -174,7 +212,9 @@ function paint(now) {
   clock.setTime(run.t);
   view.map.grown();
   signals.draw(run.t);
+  const pose = lead && poseOf(lead);
   root.dataset.t = run.t.toFixed(3);
+  root.dataset.pose = pose ? [pose.x, pose.y, pose.theta].map((v) => (v ?? NaN).toFixed(3)).join(",") : "";
   if (now - figuresAt > FIGURES_EVERY) {
     figuresAt = now;
     figures(lead);
@@ -197,7 +237,8 @@ function lastOf(rows) {
 
 function figures(lead) {
   const poses = new Map([...tracks.keys()].map((m) => [m, poseOf(m)]));
-  positions.tell(poses, poses.get("fused") ?? poses.get(lead));
+  const against = tracks.has("truth") ? "truth" : "fused";
+  positions.tell(poses, against, (t) => (tracks.has(against) ? poseAt({ hold: true, ...tracks.get(against).rows }, t) : null));
   tellLinks(run.links);
   tellEvents($("#event-list"), [...run.events.values()]);
   if (run.quality) tellQuality($("#quality"), run.quality);
@@ -212,6 +253,7 @@ function paintState() {
   $("#state-word").textContent = { live: "live", silent: "silent", ended: "ended", waiting: "waiting", lost: "offline", connecting: "connecting", open: "" }[state] ?? state;
   if (!lost) $("#link-state").textContent = run.state === "waiting" ? "" : duration(run.t).text;
   $("#run-link").hidden = !run.id;
+  $("#end").hidden = run.state !== "live" && run.state !== "silent";
   if (run.id && run.state !== "ended") $("#run-link").href = `/runs/${run.id}`;
 }
 
@@ -287,6 +329,7 @@ const alone = (name) => setView($("#views").dataset.view === name ? "both" : nam
 $("#trail").append(...Object.entries(TRAILS).map(([name, { label, about }]) => h("button", { type: "button", "data-trail": name, "data-hint": `${about} Key: t`, onclick: () => setTrail(name) }, label)));
 for (const button of document.querySelectorAll("#view button")) button.addEventListener("click", () => setView(button.dataset.view));
 $("#follow").addEventListener("click", () => follow());
+$("#end").addEventListener("click", end);
 keys("Monitor", {
   f: ["map and 3D follow the robot", () => follow()],
   m: ["map alone", () => alone("map")],

@@ -1,0 +1,100 @@
+"""The monitor: the virtual robot is driven around with the keyboard, seen on map and in 3D, stopped, and stored."""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from conftest import Server
+from playwright.sync_api import Page, expect
+
+pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("browser")]  # one server and one browser for all of them
+
+PATIENCE_S = 60.0
+
+
+def until(page: Page, condition: Callable[[], Any]) -> Any:
+    """The condition's first true value."""
+    end = time.monotonic() + PATIENCE_S
+    while not (found := condition()):
+        assert time.monotonic() < end, "it did not come true"
+        page.wait_for_timeout(50)
+    return found
+
+
+def pose(page: Page) -> tuple[float, float, float]:
+    """x, y, theta that the leading method has on the page."""
+    text = page.locator("html").get_attribute("data-pose") or "nan,nan,nan"
+    x, y, theta = map(float, text.split(","))
+    return x, y, theta
+
+
+def way(a: tuple[float, ...], b: tuple[float, ...]) -> float:
+    """Distance [m]; 0 where one is unknown."""
+    distance = math.hypot(a[0] - b[0], a[1] - b[1])
+    return distance if math.isfinite(distance) else 0.0
+
+
+def test_a_newcomer_drives_the_virtual_robot_and_finds_the_run_stored(page: Page, server: Server) -> None:
+    page.goto("/live")
+    page.get_by_role("button", name="Start a virtual robot").click()
+    page.wait_for_url("**/live/virtual")
+    expect(page.locator("#state")).to_have_attribute("data-state", "live")
+    start = until(page, lambda: (p := pose(page)) and math.isfinite(p[0]) and p)
+    run_id = page.locator("html").get_attribute("data-run")
+    assert run_id is not None
+    page.locator("#scene[data-scene=ready]").wait_for()
+
+    page.keyboard.down("ArrowUp")
+    expect(page.locator("#driver")).to_have_text("You drive")
+    expect(page.locator("#commanded")).to_contain_text("0.40 m/s")
+    until(page, lambda: way(pose(page), start) > 0.3)
+    page.keyboard.down("ArrowLeft")
+    turned = pose(page)[2]
+    until(page, lambda: math.remainder(pose(page)[2] - turned, 2 * math.pi) > 0.5)
+    page.keyboard.press("Space")
+    expect(page.locator("#commanded")).to_contain_text("0.00 m/s")
+    page.keyboard.up("ArrowUp")
+    page.keyboard.up("ArrowLeft")
+    until(page, lambda: _rests(page))
+
+    (viewer,) = server.client.get(f"/api/v1/scenes/{run_id}").json()["viewers"]
+    assert viewer["live"] and viewer["clients"] == 1
+    assert way(viewer["poses"]["fused"], pose(page)) < 0.05 and way(viewer["poses"]["fused"], start) > 0.3
+    time_on_map = float(page.locator("[data-map]").get_attribute("data-time") or 0)
+    assert abs(time_on_map - float(page.locator("html").get_attribute("data-t") or 0)) < 1
+    expect(page.locator('tr[data-method="encoders"]')).to_contain_text(" m")
+    expect(page.locator('[data-link="commands to wheels"] .link-said')).to_have_text(re.compile("inside|above|left"))
+
+    listed = server.client.get("/api/v1/runs").json()["items"]
+    assert next(r for r in listed if r["id"] == run_id)["is_live"]
+    page.locator("#end").click()
+    page.locator("#end").click()
+    page.get_by_role("link", name="Open the stored run").click()
+    page.wait_for_url(re.compile(r"/runs/(?!" + run_id + ")[0-9a-f]{16}"))
+    stored = page.url.rsplit("/", 1)[1]
+    streams = {s["name"]: s for s in server.client.get(f"/api/v1/runs/{stored}").json()["streams"]}
+    assert streams["commands"]["rows"] > 10 and streams["imu"]["rows"] > 100
+    commanded = server.client.get(f"/api/v1/runs/{stored}/streams/commands", params={"columns": "v"}).json()
+    assert max(commanded["series"][0]["y"]) == pytest.approx(0.4, abs=0.01)
+    assert server.client.get(f"/runs/{run_id}.json").headers["location"] == f"/runs/{stored}.json"
+
+
+def _rests(page: Page) -> bool:
+    before = pose(page)
+    page.wait_for_timeout(250)
+    return way(before, pose(page)) < 0.01
+
+
+def test_a_page_without_its_robot_says_so_and_comes_back_when_the_server_does(page: Page) -> None:
+    page.goto("/live/nobody?view=map&trail=speed")
+    expect(page.locator("#verdict")).to_contain_text("No robot called nobody is connected")
+    expect(page.locator("#drive-off")).to_have_text("No robot is connected.")
+    expect(page.locator('#trail [data-trail="speed"]')).to_have_attribute("aria-pressed", "true")
+    expect(page.locator("#scene")).to_be_hidden()
+    page.keyboard.press("?")
+    expect(page.locator("#help-panel")).to_contain_text("STOP, whoever drives")
