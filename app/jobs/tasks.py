@@ -68,16 +68,17 @@ def estimate(
     One method's failure is told beside the others' results; it is raised where no method gave any.
     """
     from app.store import arrays
-    from core.estimation.pipeline import METHODS, available
+    from core.estimation.pipeline import METHODS, Estimates, available
 
     run = arrays.run_from_manifest(data, manifest)
     chosen = list(methods) if methods is not None else [m for m, reason in available(run).items() if reason is None]
+    estimates = Estimates(run, chosen, dict(config))
     made: list[dict[str, Any]] = []
     failures: list[tuple[str, Exception]] = []
     for i, method in enumerate(chosen):
         progress(i / len(chosen), METHODS[method].label if method in METHODS else method)
         try:
-            made.append(stored_estimate(data, run, method, config))
+            made.append(stored_estimate(data, run, estimates, method, config))
         except CancelledError:
             raise
         except Exception as error:  # a fault in one method must not take the others' results with it
@@ -95,17 +96,13 @@ def _failure(error: Exception) -> dict[str, str]:
     return {"code": "internal", "detail": f"{type(error).__name__}: {error}"}
 
 
-def stored_estimate(data: Path, run: Any, method: str, config: Mapping[str, Any]) -> dict[str, Any]:
+def stored_estimate(data: Path, run: Any, estimates: Any, method: str, config: Mapping[str, Any]) -> dict[str, Any]:
     """One estimate of a core Run, its arrays in the data folder, the rest as plain data for `app.store.results`."""
     from app.jobs.outcome import outcome_of
     from app.store import arrays
     from app.store.provenance import code_version
-    from core.estimation.pipeline import estimate as estimate_path
 
-    began = time.perf_counter()
-    estimated = estimate_path(run, method, dict(config))
-    runtime = time.perf_counter() - began
-    outcome = outcome_of(run, estimated, runtime)
+    outcome = outcome_of(run, estimates.by(method), estimates.seconds[method])
     keys = {name: arrays.put(data, column) for name, column in outcome.pop("columns").items()}
     return {**outcome, "config": dict(config), "seed": 0, "arrays": keys, "code_version": code_version()}
 

@@ -7,14 +7,15 @@ To add a method: a file with its function, a row in METHODS.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from core.errors import MissingStreamError, ParameterError
 from core.estimation import needs
 from core.estimation.assumptions import Config
 from core.estimation.beacon import beacon
-from core.estimation.fusion.fused import fused, smoothed
+from core.estimation.fusion.fused import fused, fused_and_smoothed, smoothed
 from core.estimation.odometry import encoders, encoders_gyro
 from core.estimation.published import missing as missing_for_published
 from core.estimation.published import published
@@ -103,6 +104,9 @@ METHODS: dict[str, Method] = {
 }
 
 
+PAIR = ("fused", "smoothed")
+
+
 def available(run: Run) -> dict[str, str | None]:
     """Each method's name with None, or with the reason why it cannot run on this run."""
     return {name: method.missing(run) for name, method in METHODS.items()}
@@ -115,9 +119,39 @@ def estimate(run: Run, method: str, config: Config | None = None) -> Estimate:
     `core.estimation.assumptions.Assumptions` by name. Raises ParameterError (unknown method or option) and
     MissingStreamError (the run lacks what the method needs).
     """
+    _check(run, method)
+    return METHODS[method].run(run, config)
+
+
+class Estimates:
+    """Paths of one run by several methods: what two of them share is done once, when the first is asked for.
+
+    `by(method)` gives what `estimate` gives, and raises what it raises; `seconds` how long each took, `fused` and
+    `smoothed` together where both are wanted.
+    """
+
+    def __init__(self, run: Run, methods: Sequence[str], config: Config | None = None) -> None:
+        self._run, self._methods, self._config = run, tuple(methods), config
+        self._made: dict[str, Estimate] = {}
+        self.seconds: dict[str, float] = {}
+
+    def by(self, method: str) -> Estimate:
+        """The path by one method."""
+        if method not in self._made:
+            _check(self._run, method)
+            began = time.perf_counter()
+            if method in PAIR and all(one in self._methods for one in PAIR):
+                made = dict(zip(PAIR, fused_and_smoothed(self._run, self._config), strict=True))
+            else:
+                made = {method: METHODS[method].run(self._run, self._config)}
+            self._made |= made
+            self.seconds |= dict.fromkeys(made, time.perf_counter() - began)
+        return self._made[method]
+
+
+def _check(run: Run, method: str) -> None:
     if method not in METHODS:
         raise ParameterError(f"unknown method {method!r}", parameter="method", expected=tuple(METHODS), found=method)
     reason = METHODS[method].missing(run)
     if reason is not None:
         raise MissingStreamError(f"{method} cannot run: {reason}", method=method, missing=reason)
-    return METHODS[method].run(run, config)

@@ -130,7 +130,7 @@ def _open(o: Any, t: float, t0: float, stat: float, w: Any, s: Any) -> None:
     s[o + 5], s[o + 6], s[o + 10] = w[0], w[1], s[10]
 
 
-@njit(error_model="numpy", cache=True)
+@njit(error_model="numpy", cache=True, nogil=True)
 def walk(t: Any, data: Any, speed: Any, s: Any, ring: Any, noise: Any, weight: Any, last: Any, found: Any,
          flush: bool, c: Any) -> int:  # fmt: skip
     """Fill found (., SIZE) with blows that ended here, and return how many; column 11 is PLANE or UP.

@@ -240,7 +240,7 @@ def _spinning(r: Any, blow: float, s: Any, found: Any, n: Any) -> Any:
 def _entry_point(digest: int) -> Callable[..., int]:
     """numba's cache sees a change of this file and of what is closed over, not of the file that the columns are of."""
 
-    @njit(error_model="numpy", cache=True)
+    @njit(error_model="numpy", cache=True, nogil=True)
     def walk(rows: Any, blow: Any, s: Any, found: Any, track: float, has_accel: bool, flush: bool) -> int:
         """Fill found (., SIZE + 1) with incidents that ended here; how many. rows (M, ROW); blow (M,): when the newest
         blow was known; state s (STATE,). Columns: as of an open incident (4: its end), then the release."""

@@ -423,7 +423,7 @@ def _tilt(b: float, P: float, nu: float, h: float, sd: float) -> tuple[float, fl
     return b + gain * min(max(nu, -limit), limit), P * (1.0 - gain * h)
 
 
-@njit(error_model="numpy", cache=True)
+@njit(error_model="numpy", cache=True, nogil=True)
 def walk(t: Any, kind: Any, data: Any, s: Any, ring: Any, queue: Any, p: Any, P: Any, ch: Any, past: Any, noise: Any,
          weight: Any, calm: Any, rows: Any, flush: bool, c: Any) -> int:  # fmt: skip
     """Walk over readings in the order of their stamps; fills rows (., ROW) and returns how many. `flush` at the end.

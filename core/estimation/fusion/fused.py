@@ -9,6 +9,7 @@ gate. `smoothed` walks back as well. What there is to say of it is in `findings.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -59,16 +60,34 @@ def smoothed(run: Run, config: Config | None = None) -> Estimate:
     return _estimate("smoothed", ready, back, forward)
 
 
+def fused_and_smoothed(run: Run, config: Config | None = None) -> tuple[Estimate, Estimate]:
+    """Both from one preparation, side by side in two threads: what each alone gives, in about half of the time."""
+    ready = prepare(run, config)
+    with ThreadPoolExecutor(1) as aside:
+        calm = not ready.disturbances.found  # then the smoother's own filter is the causal one
+        causal = None if calm else aside.submit(walk, ready.problem, ready.events, ready.disturbances)
+        forward, back = smooth(ready.problem, ready.events, ready.disturbances)
+        if causal is not None:
+            found = causal.result()
+        else:
+            found = walk(ready.problem, ready.events) if back.leaps else forward
+    return _estimate("fused", ready, found, found), _estimate("smoothed", ready, back, forward)
+
+
 def prepare(run: Run, config: Config | None = None) -> Prepared:
     """All that comes before the walk."""
     numbers, notes = assume(run, config)
     run, wrong = sound(run, numbers)
-    rest = at_rest(run, numbers) if run.imu is not None and len(run.imu) >= 2 else None
-    events = merge(run, numbers, rest)
-    trusted: tuple[str, ...] = ()
-    if rest is not None:
-        events, numbers, trusted = trusted_turns(events, numbers, lambda e, n: _alone(run, e, n, rest))
-    disturbances = _believed(detect(run, numbers), events)
+    first = numbers
+    with ThreadPoolExecutor(1) as aside:
+        disturbed = aside.submit(detect, run, numbers)
+        rest = at_rest(run, numbers) if run.imu is not None and len(run.imu) >= 2 else None
+        events = merge(run, numbers, rest)
+        trusted: tuple[str, ...] = ()
+        if rest is not None:
+            events, numbers, trusted = trusted_turns(events, numbers, lambda e, n: _alone(run, e, n, rest))
+        found = disturbed.result() if numbers.track_scale_sd == first.track_scale_sd else detect(run, numbers)
+    disturbances = _believed(found, events)
     start = find_start(run, events, numbers, lambda: reckoned_alone(run, events, numbers, rest))
     events = start.without_used(events)
 

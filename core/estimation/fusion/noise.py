@@ -23,14 +23,14 @@ from core.run import Run
 Array = npt.NDArray[np.float64]
 
 ENOUGH = 50  # readings to learn from
-LEADING = 60_000  # events that are looked at
+LEADING = 40_000  # events that are looked at
 PASSES = 4  # for the sd of fixes and ranges
 TYPICAL_SLIP, SLIP_SPREAD = 4e-3, 1.0  # m/sqrt(m), of tyres on a floor; sd of its logarithm
 SLIP_STEP, SLIP_STEPS = 2.0, 5  # levels of slip are this far apart, this many each way at most
 WALK_STEP, WALK_STEPS, WALK_SPREAD = 3.0, 4, 1.5  # the same of the walk of the gyro's bias
 IMPOSSIBLE = 4.0  # sd from the stated track width
 CONTRADICTED = 0.3  # share of the time that wheels and gyro may disagree about turning
-ROUGH = 0.02  # m/sqrt(m): slip that is no contradiction
+ROUGH = 0.01  # m/sqrt(m): slip that is no contradiction
 SKID, SKID_SCALE = 0.6, 0.2  # m, relative: what wheels that skid do to the distance
 OUTLIER = 16.0  # a normalised innovation squared counts no more than this
 MEDIAN_CHI2 = {1: 0.4549, 2: 1.3863, 3: 2.3660}

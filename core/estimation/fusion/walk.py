@@ -8,6 +8,7 @@ does a reading that comes late (`replay.py`).
 from __future__ import annotations
 
 import dataclasses
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -347,9 +348,23 @@ def _both_ways(p: Problem, events: Events) -> tuple[Walk, Walk, Array]:
         p.step(events, cut, min(cut + STRETCH, end), state, out)
     forward = _walked(out._replace(rows=out.rows.copy(), covariance=out.covariance.copy()), state)
     lam, L, gyro = np.zeros(N), np.zeros((N, N)), bool(p.constants[HAS_GYRO])
-    rec, shock = records(STRETCH, STRETCH), np.zeros((len(events.out), 3))
-    for cut, begun in zip(cuts[::-1], saved[::-1], strict=True):
-        last, first_row = min(cut + STRETCH, end), begun.row
-        p.step(events, cut, last, begun, out, rec)
-        walk_back(cut, last, begun.row, first_row, events.kind, lam, L, p.n, gyro, events.first_offset, rec, out, shock)
+    shock = np.zeros((len(events.out), 3))
+    recs = (records(STRETCH, STRETCH), records(STRETCH, STRETCH))
+    rows = [begun.row for begun in saved] + [len(events.out)]
+    with ThreadPoolExecutor(1) as ahead:  # the stretch before is recorded while this one is walked back
+
+        def recorded(k: int) -> Future[None]:
+            cut = cuts[k]
+            return ahead.submit(p.step, events, cut, min(cut + STRETCH, end), saved[k], out, recs[k % 2])
+
+        ready = recorded(len(cuts) - 1) if cuts else None
+        for k in range(len(cuts) - 1, -1, -1):
+            assert ready is not None
+            ready.result()
+            ready = recorded(k - 1) if k else None
+            cut, last = cuts[k], min(cuts[k] + STRETCH, end)
+            walk_back(
+                cut, last, rows[k + 1], rows[k], events.kind, lam, L, p.n, gyro, events.first_offset, recs[k % 2], out,
+                shock,
+            )  # fmt: skip
     return forward, _walked(out, state), shock

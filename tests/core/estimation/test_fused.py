@@ -252,10 +252,10 @@ def test_hindsight_finds_where_the_wheels_spun_and_nothing_felt_it() -> None:
 
 def test_slip_and_the_walk_of_the_bias_are_learnt_without_a_beacon() -> None:
     """From the wheels' turn against the gyro, and from the gyro's means at rest."""
-    worlds = [simulate(18, 240.0, Flaws(slip=s), Sensors(fixes=0), rest=40.0) for s in (2e-4, 0.02)]
+    worlds = [simulate(18, 240.0, Flaws(slip=s), Sensors(fixes=0), rest=40.0) for s in (2e-4, 0.012)]
     smooth, rough = (next(n for n in fused(w).notes if n.startswith("Slip learnt")) for w in worlds)
     assert float(smooth.split(": ")[1].split()[0]) < 1e-3
-    assert float(rough.split(": ")[1].split()[0]) == pytest.approx(0.02, rel=0.5)
+    assert float(rough.split(": ")[1].split()[0]) == pytest.approx(0.012, rel=0.5)
     warm = simulate(19, 240.0, Flaws(bias_walk=3e-4, slip=0.004), Sensors(fixes=0), rest=40.0)
     note = next(n for n in fused(warm).notes if n.startswith("Walk of the gyro's bias"))
     assert float(note.split(": ")[1].split()[0]) == pytest.approx(3e-4, rel=0.7)
