@@ -109,7 +109,9 @@ class Screen:
         """By how much the cost falls if these columns are free; beside them the nuisances, but for a model's own."""
         free = np.zeros(len(self.g), dtype=bool)
         free[list(columns)] = True
-        kept = np.flatnonzero(free | ((self.limit > 0.0) & np.array([e not in model for e in self.effects])))
+        kept = np.flatnonzero(
+            free | ((self.limit > 0.0) & np.array([e not in model for e in self.effects], dtype=bool))
+        )
         sd = np.where(free, np.inf, self.sd)[kept]
         limit = np.where(free, np.inf, self.limit)[kept]
         return bounded(self.a[np.ix_(kept, kept)], self.g[kept], sd, limit)[1]
@@ -133,7 +135,9 @@ class Screen:
     def _beside(self, at: int, named: Sequence[str]) -> tuple[float, float]:
         """Score and information of one column, the model's own parameters and the nuisances marginalised."""
         kept = np.flatnonzero(self.limit > 0.0)
-        kept = kept[[self.effects[i] not in named and self.effects[i] != self.effects[at] for i in kept]]
+        kept = kept[
+            np.array([self.effects[i] not in named and self.effects[i] != self.effects[at] for i in kept], dtype=bool)
+        ]
         kept = np.concatenate((np.arange(self.own), kept)).astype(int)
         ridge = np.where(kept < self.own, 0.0, 1.0 / np.maximum(self.sd[kept], 1e-12) ** 2)
         inner = self.a[np.ix_(kept, kept)] + np.diag(ridge)

@@ -107,7 +107,7 @@ def _taken(score: Array, info: Array, cross: Array, inside: Array, pull: Array) 
     return np.where(fine, score * weight, 0.0), weight, left
 
 
-REFITTED, ROUNDS = 4, 6
+REFITTED, ROUNDS = 3, 3
 """So many of the best shapes are fitted to Huber's loss itself, by so many rounds of reweighted least squares."""
 
 

@@ -125,7 +125,7 @@ def mujoco_cases(kind: str, seeds: range) -> Iterator[Case]:
             name = PHYSICAL[(seed * 11) % len(PHYSICAL)]
             effects = draw(name, 2.5 if "small" in kind else float(rng.uniform(6.0, 30.0)), rng)
         ride = Ride(seed, effects=effects)
-        runs = [ride_run(replace(ride, part=k, seconds=t)) for k, t in enumerate((60.0, 50.0, 50.0))]
+        runs = [ride_run(replace(ride, part=k, seconds=t)) for k, t in enumerate((50.0, 40.0, 40.0))]
         yield runs[:2], runs[2], effects, "+".join(effects)
 
 

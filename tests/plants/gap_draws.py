@@ -137,8 +137,8 @@ def plans(kind: str, seed: int, ordinary: bool = True) -> tuple[list[Plan], Plan
         sensors="both" if any(_pose(n) for n in chosen) else str(rng.choice(["fix", "ranges", "both"])),
         ordinary=ordinary,
     )
-    fit = [replace(plan, profile="mixed", seconds=60.0), replace(plan, profile="turns", seconds=50.0)]
-    return fit, replace(plan, profile="stops", seconds=50.0), effects, "+".join(chosen)
+    fit = [replace(plan, profile="mixed", seconds=45.0), replace(plan, profile="turns", seconds=35.0)]
+    return fit, replace(plan, profile="stops", seconds=40.0), effects, "+".join(chosen)
 
 
 def _pose(name: str) -> bool:
