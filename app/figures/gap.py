@@ -6,13 +6,14 @@ Whatever the evidence lacks gives an empty figure. Numbers come as people read t
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from app.figures.gap_sentence import regressor_name, stream_name, times
-from app.figures.gap_which import Line
-from app.figures.gap_words import label, percent, quantity
+from app.figures.gap_which import Line, across, regressor_unit, residual_unit, scaled
+from app.figures.gap_words import edge, label, percent, quantity
 from app.figures.plot import Band, Curve, Plot, plot, tick_text
 from app.figures.units import significant
 
@@ -21,6 +22,7 @@ Evidence = Mapping[str, Any]
 
 LEVELS = (1.1, 1.5, 2.5, 4.0, 8.0, 16.0)
 """Excess over the floor at which the colour steps up: classes heat-0 to heat-6."""
+LEAST_POWER = 15  # smaller p say no more
 
 
 def level(excess: float | None) -> int:
@@ -99,7 +101,7 @@ def links(result: Result, evidence: Evidence) -> list[Link]:
 
 def heat(evidence: Evidence) -> Heat:
     """The heat map; streams and regimes in the order in which they first come."""
-    cells = evidence.get("cells") or ()
+    cells = [cell for cell in evidence.get("cells") or () if cell["rows"]]
     regimes = tuple(dict.fromkeys(c["regime"] for c in cells))
     streams = tuple(dict.fromkeys(c["stream"] for c in cells))
     by = {(c["stream"], c["regime"]): c for c in cells}
@@ -108,7 +110,7 @@ def heat(evidence: Evidence) -> Heat:
 
 
 def _cell(cell: Mapping[str, Any] | None) -> Cell | None:
-    if cell is None or not cell["rows"]:
+    if cell is None:
         return None
     excess = over(cell["before"], cell["floor"])
     hint = (
@@ -137,9 +139,9 @@ def p_text(p: float | None) -> str:
         return "–"
     if p >= 0.001:
         return f"{p:.2g}"
-    power = math.floor(math.log10(p)) if p > 0 else -300
-    raised = str(max(power, -300)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-    return f"10{raised}"
+    power = max(math.floor(math.log10(p)) if p > 0 else -LEAST_POWER, -LEAST_POWER)
+    raised = str(power).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return f"{'< ' if power == -LEAST_POWER else ''}10{raised}"
 
 
 # ---- how far
@@ -214,8 +216,8 @@ def shrunk(result: Result) -> str:
 
 def path_plot(run: Mapping[str, Any]) -> Plot | None:
     """The path in pieces by the gap there."""
-    path = run.get("path")
-    if not path or len(path["t"]) < 2:
+    path = finest(run)
+    if path is None:
         return None
     levels = [level(g) for g in path["gap"]]
     curves, first = [], 0
@@ -225,6 +227,18 @@ def path_plot(run: Mapping[str, Any]) -> Plot | None:
             curves.append(Curve("", f"g-path heat-{levels[first]}", path["x"][rows], path["y"][rows]))
             first = i
     return plot(curves, x_label="x, m", y_label="y, m", width=460, height=340, equal=True)
+
+
+def finest(run: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """t, x, y and gap of the path; where the whole drive is known at more points, on those."""
+    path, free = run.get("path"), run.get("free_run")
+    if not path or len(path["t"]) < 2:
+        return None
+    if not free or len(free["t"]) <= len(path["t"]):
+        return {name: path[name] for name in ("t", "x", "y", "gap")}
+    last = len(path["t"]) - 1
+    gaps = [path["gap"][min(max(bisect_left(path["t"], t), 0), last)] for t in free["t"]]
+    return {"t": free["t"], "x": free["real"]["x"], "y": free["real"]["y"], "gap": gaps}
 
 
 def timeline_plot(run: Mapping[str, Any]) -> Plot | None:
@@ -271,18 +285,16 @@ class Shape:
 
 def shapes(evidence: Evidence) -> list[Shape]:
     """What is left by each regressor, with its band."""
-    rest = evidence.get("unexplained")
+    rest = evidence.get("unexplained") or {}
     out = []
-    for one in (rest or {}).get("shapes") or ():
-        unit = f", {one['unit']}" if one.get("unit") else ""
+    for one in rest.get("shapes") or ():
+        x = scaled(one["x"], regressor_unit(one["regressor"]))
+        unit = residual_unit(rest["stream"])
+        y, lo, hi = (scaled(one[name], unit) for name in ("y", "lo", "hi"))
         drawn = plot(
-            (Curve("what is left", "g-real", one["x"], one["y"]),),
-            (Band("g-band", one["x"], one["lo"], one["hi"]),),
-            x_label=f"{regressor_name(one['regressor'])}{unit}",
-            y_label="",
-            width=360,
-            height=180,
-        )
+            (Curve("what is left", "g-real", x, y),), (Band("g-band", x, lo, hi),), x_label=across(one["regressor"]),
+            y_label=f"residual, {edge(unit)[1]}", width=360, height=180,
+        )  # fmt: skip
         out.append(Shape(f"by {regressor_name(one['regressor'])}", percent(one["share"] or 0.0), drawn))
     return out
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from app.figures.gap_sentence import JOINT, regressor_name, stream_name
-from app.figures.gap_words import as_set, difference, label, percent, quantity
+from app.figures.gap_words import as_set, difference, digits_of, edge, label, percent, quantity
 from app.figures.plot import Band, Curve, Plot, plot
 from core.effects import EFFECTS
 
@@ -126,26 +126,71 @@ def sizes(effect: str, parameters: Mapping[str, Mapping[str, Any]]) -> tuple[Siz
     out = []
     for name, entry in parameters.items():
         value, std, unit = entry.get("value"), entry.get("std"), units.get(name, "")
-        interval = ""
+        interval, digits = "", 3
         if std is not None and isinstance(value, int | float):
-            interval = f"{quantity(value - Z90 * std, unit)} to {quantity(value + Z90 * std, unit)}"
+            digits = digits_of(value, std)
+            lo, hi = value - Z90 * std, value + Z90 * std
+            interval = " to ".join(quantity(v, unit, digits_of(v, std)) for v in (lo, hi))
         si = f"{value} {unit}".strip() + (f", sd {std:.3g}" if std is not None else "")
-        out.append(Size(name, quantity(value, unit), interval, si))
+        out.append(Size(name, quantity(value, unit, digits), interval, si))
     return tuple(out)
 
 
 def signature_plot(one: Mapping[str, Any], width: float = 360.0, height: float = 170.0) -> Plot:
     """What the effect does to its stream: residual with two deviations, the fit, and what is left."""
-    lo = [None if r is None or s is None else r - 2 * s for r, s in zip(one["residual"], one["sd"], strict=True)]
-    hi = [None if r is None or s is None else r + 2 * s for r, s in zip(one["residual"], one["sd"], strict=True)]
+    unit = residual_unit(one["stream"])
+    shown = {name: scaled(one[name], unit) for name in ("residual", "sd", "fitted", "after")}
+    lo, hi = around(shown["residual"], shown["sd"])
+    x = scaled(one["x"], regressor_unit(one["regressor"]))
     curves = (
-        Curve("residual", "g-real", one["x"], one["residual"], dots=True),
-        Curve("with the effect", "g-patched", one["x"], one["fitted"]),
-        Curve("what is left", "g-left", one["x"], one["after"]),
+        Curve("without it", "g-real", x, shown["residual"], dots=True),
+        Curve("the effect", "g-patched", x, shown["fitted"]),
+        Curve("what is left", "g-left", x, shown["after"]),
     )
-    unit = f", {one['unit']}" if one.get("unit") else ""
-    across = f"{regressor_name(one['regressor'])}{unit}"
-    return plot(curves, (Band("g-band", one["x"], lo, hi),), x_label=across, y_label="", width=width, height=height)
+    return plot(
+        curves, (Band("g-band", x, lo, hi),), x_label=across(one["regressor"]),
+        y_label=f"residual, {edge(unit)[1]}", width=width, height=height,
+    )  # fmt: skip
+
+
+def scaled(values: Sequence[float | None], unit: str) -> list[float | None]:
+    """SI values in the unit that people read."""
+    factor = edge(unit)[0]
+    return [None if v is None else factor * v for v in values]
+
+
+def around(middle: Sequence[float | None], sd: Sequence[float | None]) -> tuple[list[float | None], list[float | None]]:
+    """Two deviations below and above."""
+    rows = [(None, None) if m is None or s is None else (m - 2 * s, m + 2 * s) for m, s in zip(middle, sd, strict=True)]
+    return [row[0] for row in rows], [row[1] for row in rows]
+
+
+def regressor_unit(regressor: str) -> str:
+    """SI unit of what a residual is set against."""
+    return REGRESSORS.get(regressor, "")
+
+
+def residual_unit(stream: str) -> str:
+    """SI unit of a residual in curves: of encoders and of the reference it is the rate at which it builds up."""
+    if stream.startswith("imu."):
+        return "rad/s" if stream == "imu.gz" else "m/s²"
+    plain = "rad" if stream.startswith("wheels.") or stream.endswith(".theta") else "m"
+    return f"{plain}/s" if stream.startswith(("wheels.", "truth.")) else plain
+
+
+def across(regressor: str) -> str:
+    """The label of its axis."""
+    unit = edge(regressor_unit(regressor))[1]
+    return regressor_name(regressor) + (f", {unit}" if unit else "")
+
+
+REGRESSORS = {
+    "speed": "m/s", "turn rate": "rad/s", "left rim speed": "m/s", "right rim speed": "m/s", "acceleration": "m/s²",
+    "turn acceleration": "rad/s²", "speed times turn rate": "m/s²", "time": "s", "temperature": "K", "heading": "rad",
+    "x": "m", "y": "m", "velocity along x": "m/s", "velocity along y": "m/s", "left wheel angle": "rad",
+    "right wheel angle": "rad",
+}  # fmt: skip
+"""What residuals are set against, with SI units."""
 
 
 def considered(result: Result, evidence: Evidence) -> list[Line]:

@@ -153,16 +153,32 @@ WORDS: dict[str, Callable[[Mapping[str, Any]], str]] = {
 """By effect, from its values: what differs, seen from robot or simulator, whichever is plainer."""
 
 
-def quantity(value: float | str | None, unit: str) -> str:
-    """A parameter's value as people read it."""
+def quantity(value: float | str | None, unit: str, digits: int = 3) -> str:
+    """A parameter's value as people read it, in `digits` significant digits."""
     if value is None or isinstance(value, str):
         return value or "no limit"
-    if unit == "rad":
-        return angle(value)
-    if unit == "rad/s":
-        return bias(value) if abs(value) < math.radians(1.0) else f"{angle(value)}/s"
-    if unit == "m":
-        return length(value)
-    if unit == "s":
-        return _ms(value)
-    return f"{significant(value, 4)} {unit}".rstrip()
+    factor, shown = edge(unit)
+    if unit == "rad/s" and 0 < abs(value) < math.radians(1.0):
+        factor, shown = factor * 3600.0, "°/h"
+    elif unit in SMALL and 0 < abs(value) < SMALL[unit][0]:
+        _, factor, shown = SMALL[unit]
+    gap = "" if shown in ("", "°") else " "
+    return f"{significant(factor * value, digits)}{gap}{shown}"
+
+
+SMALL = {"m": (0.1, 100.0, "cm"), "s": (1.0, 1000.0, "ms"), "m/s": (0.1, 100.0, "cm/s")}
+"""Below which size another unit reads better."""
+
+
+def edge(unit: str) -> tuple[float, str]:
+    """The factor to the unit that people read: degrees for radians."""
+    if unit.startswith("rad"):
+        return math.degrees(1.0), "°" + unit.removeprefix("rad")
+    return 1.0, unit
+
+
+def digits_of(value: float, std: float | None) -> int:
+    """Significant digits so that the deviation shows in its first two."""
+    if not std or not value or not math.isfinite(std) or not math.isfinite(value):
+        return 3
+    return min(max(math.floor(math.log10(abs(value))) - math.floor(math.log10(std)) + 2, 2), 7)

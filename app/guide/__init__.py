@@ -30,6 +30,7 @@ PAGES: dict[str, str] = {
     "odometry": "Calibrating wheels, gyro and mounts",
     "firmware": "Firmware",
     "events": "Events: slips, blows, dead encoders",
+    "diagnoses": "Reading a diagnosis",
     "gap": "The gap: where, which, how far",
     "numbers": "What each number means",
     "figures": "Figures, honestly",

@@ -35,18 +35,20 @@ function paintFilter() {
   $("#filter").replaceChildren(...choices.map(([v, label, n]) => h("button", { type: "button", "aria-pressed": String(v === shown), onclick: () => ((shown = v), paint()) }, `${label} ${n}`)));
 }
 
+const withRobots = () => page.diagnoses.some((d) => d.robot);
+
 function row(d) {
   const remove = h("button", { type: "button", class: "icon-button", "aria-label": `Delete ${d.name}`, "data-hint": "Delete; it can be brought back for a day", onclick: () => drop(d) }, icon("trash"));
   const runs = d.runs.map((r) => h("div", {}, r.stored ? h("a", { href: `/runs/${r.id}?tab=gap` }, r.name) : r.name, r.held_out && h("span", { class: "dim" }, " held out")));
-  return h("tr", { "data-diagnosis": d.id }, h("td", { class: "said" }, h("a", { href: `/diagnoses/${d.id}` }, d.name), h("div", {}, said(d.sentence))), h("td", {}, d.robot ?? ""), h("td", {}, runs), h("td", {}, h("span", { class: `chip ${MARKS[d.verdict]}` }, page.verdicts[d.verdict])), h("td", { class: "num" }, `${number(d.gap.before, 2)} → ${number(d.gap.after, 2)}`), h("td", { class: "num" }, h("time", { datetime: d.created_at, "data-hint": when(d.created_at).si }, when(d.created_at).text)), h("td", {}, remove));
+  return h("tr", { "data-diagnosis": d.id }, h("td", { class: "said" }, h("a", { href: `/diagnoses/${d.id}` }, d.name), h("div", {}, said(d.sentence))), withRobots() && h("td", {}, d.robot ?? ""), h("td", {}, runs), h("td", {}, h("span", { class: `chip ${MARKS[d.verdict]}` }, page.verdicts[d.verdict])), h("td", { class: "num" }, `${number(d.gap.before, 2)} → ${number(d.gap.after, 2)}`), h("td", { class: "num" }, h("time", { datetime: d.created_at, "data-hint": when(d.created_at).si }, when(d.created_at).text)), h("td", {}, remove));
 }
 
 function paint() {
   paintFilter();
   const rows = page.diagnoses.filter((d) => !shown || d.verdict === shown);
-  const head = [["Diagnosis"], ["Robot"], ["Runs"], ["Verdict", "verdict"], ["× noise", "gap_far"], ["When", "when"], [""]];
+  const head = [["Diagnosis"], ...(withRobots() ? [["Robot"]] : []), ["Runs"], ["Verdict", "verdict"], ["× noise", "gap_far"], ["When", "when"], [""]];
   const empty = h("div", {}, h("p", {}, "A diagnosis compares runs of a robot with its simulator and says where they differ, which effect causes it, and how far the gap shrinks once that effect is added."), h("p", { class: "dim" }, "It needs commands or wheels, and anything that was measured beside them: IMU, fixes, ranges or a reference. ", h("a", { href: "/guide/diagnoses" }, "How to read one")));
-  $("#list").replaceChildren(page.diagnoses.length ? h("div", { class: "scroll-x" }, h("table", { class: "table diagnoses" }, h("thead", {}, h("tr", {}, head.map(([text, term], i) => h("th", { class: i === 4 || i === 5 ? "num" : "", "data-term": term }, text)))), h("tbody", {}, rows.map(row)))) : empty);
+  $("#list").replaceChildren(page.diagnoses.length ? h("div", { class: "scroll-x" }, h("table", { class: "table diagnoses" }, h("thead", {}, h("tr", {}, head.map(([text, term]) => h("th", { class: ["× noise", "When"].includes(text) ? "num" : "", "data-term": term }, text)))), h("tbody", {}, rows.map(row)))) : empty);
 }
 
 async function drop(d) {

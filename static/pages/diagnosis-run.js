@@ -6,6 +6,7 @@ import { createMap } from "../lib/map.js";
 import { createTimeCursor } from "../lib/timecursor.js";
 import { mountGapScene } from "./diagnosis-scene.js";
 import { level, levelColour } from "./gap-levels.js";
+import { streamName } from "./gap-words.js";
 
 const NAMES = ["under 1.1", "1.1 to 1.5", "1.5 to 2.5", "2.5 to 4", "4 to 8", "8 to 16", "over 16"];
 const REAL = { label: "real", color: "--method-truth", dash: [], width: 1.75 };
@@ -27,11 +28,11 @@ export function mountRun(run, { params, changed, fileName }) {
   $("#strip").hidden = !map && !chart;
   $("#timeline").hidden = !chart;
   $("#overlay").hidden = !overlay;
-  if (scene) scene.show(run.path, overlay?.mixed() ?? null);
+  if (scene) scene.show(run.path && finest(run), overlay?.nominal ?? null, overlay?.mixed() ?? null);
   offs.push(strip(clock), clock.subscribe((what) => ["time", "range"].includes(what) && changed()));
 
   function moved() {
-    scene?.show(run.path, overlay.mixed());
+    scene?.show(null, null, overlay.mixed());
     changed();
   }
 
@@ -64,7 +65,7 @@ function spanOf(run) {
 /* the path in pieces, each in the colour of its gap */
 
 function gapMap(run, clock, fileName) {
-  const { t, x, y, theta, gap } = run.path;
+  const { t, x, y, theta, gap } = finest(run);
   const levels = gap.map(level);
   const map = createMap($("#map-gap"), { clock, subject: run.name, fileName: `${fileName}-gap` });
   const pieces = NAMES.map((label, k) => {
@@ -78,6 +79,17 @@ function gapMap(run, clock, fileName) {
   return map;
 }
 
+// Where the whole drive is known at more points than the path by the gap, on those.
+export function finest({ path, free_run: free }) {
+  if (!free || free.t.length <= path.t.length) return path;
+  let k = 0;
+  const gap = free.t.map((t) => {
+    while (k < path.t.length - 1 && path.t[k] < t) k += 1;
+    return path.gap[k];
+  });
+  return { t: free.t, ...free.real, gap };
+}
+
 /* the gap over time */
 
 function timeline(run, clock, fileName) {
@@ -88,7 +100,7 @@ function timeline(run, clock, fileName) {
     return known.length ? Math.sqrt(known.reduce((sum, v) => sum + v * v, 0) / known.length) : null;
   });
   const reading = (y) => ({ t, y, total: t.length, shown: t.length });
-  const single = streams.map((s, i) => ({ key: s, label: s, color: ["--c1", "--c3", "--c4", "--method-fixes"][i % 4], dash: [[], [4, 3], [1, 3]][Math.floor(i / 4) % 3], on: false, width: 1 }));
+  const single = streams.map((s, i) => ({ key: s, label: streamName(s), csv: s, color: ["--c1", "--c3", "--c4", "--method-fixes"][i % 4], dash: [[], [4, 3], [1, 3]][Math.floor(i / 4) % 3], on: false, width: 1 }));
   return createChart($("#timeline"), {
     id: "gap-timeline",
     title: "Gap over time",
@@ -128,6 +140,7 @@ function overlayMap(run, clock, fileName, first, moved) {
   map.setLead("real");
   paint();
   return {
+    nominal: { t, ...paths[0] },
     mixed,
     share: () => Number(slider.value) / 100,
     destroy() {

@@ -41,8 +41,9 @@ export function mountGapScene(host, run, clock) {
 
   host.addEventListener("scene-ready", send);
   return {
-    show(gap, patched) {
+    show(gap, simulated, patched) {
       if (gap) put("gap", laid(gap, { levels: gap.gap.map(level) }));
+      if (simulated) put("simulated", laid(simulated));
       if (patched) put("patched", laid(patched));
       send();
     },

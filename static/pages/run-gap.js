@@ -5,7 +5,7 @@ import { h } from "../lib/dom.js";
 import { number, when } from "../lib/format.js";
 import { isActive } from "../lib/jobs.js";
 import { diagnose, follow } from "./diagnose-job.js";
-import { said } from "./gap-words.js";
+import { said, streamName } from "./gap-words.js";
 
 const VERDICTS = { none: ["no gap", "green"], explained: ["explained", ""], partly_explained: ["partly explained", "amber"], unknown: ["unknown cause", "red"] };
 
@@ -38,7 +38,7 @@ export function mountGap(host, { run, data }) {
   function shown([latest, ...rest]) {
     if (!latest) return [h("p", {}, "Not diagnosed yet: where does this run differ from its simulator, which effect causes it, and how far does the gap shrink?")];
     const streams = Object.entries(latest.gap.by_stream).sort((a, b) => b[1].before / b[1].floor - a[1].before / a[1].floor);
-    const rows = [["all streams", latest.gap], ...streams].map(([name, g]) => h("tr", {}, h("th", { scope: "row" }, name), h("td", { class: "num" }, number(g.before)), h("td", { class: "num" }, number(g.after)), h("td", { class: "num dim" }, number(g.floor))));
+    const rows = [["all streams", latest.gap], ...streams].map(([name, g]) => h("tr", {}, h("th", { scope: "row" }, streamName(name)), h("td", { class: "num" }, number(g.before)), h("td", { class: "num" }, number(g.after)), h("td", { class: "num dim" }, number(g.floor))));
     return [
       h("p", { class: "said" }, said(latest.sentence)),
       h("div", { class: "row" }, chip(latest), h("a", { class: "button", id: "open-diagnosis", href: `/diagnoses/${latest.id}` }, "Open the report"), h("span", { class: "dim" }, when(latest.created_at).text)),

@@ -91,7 +91,7 @@ def evidence(**changed: Any) -> dict[str, Any]:
              for s in t]}, "timeline": _timeline(blocks), "free_run": _free(path)},
         ],
         "signatures": {
-            "track_width": {"stream": "truth.theta", "regressor": "w", "unit": "rad/s", "x": x,
+            "track_width": {"stream": "truth.theta", "regressor": "turn rate", "unit": "rad/s", "x": x,
                             "residual": [0.02 * v for v in x], "sd": [0.002] * 21, "fitted": [0.021 * v for v in x],
                             "after": [0.001 * v for v in x]},
         },
@@ -108,7 +108,7 @@ def evidence(**changed: Any) -> dict[str, Any]:
         ],
         "unexplained": {
             "stream": "imu.gz",
-            "shapes": [{"regressor": "turning", "unit": "rad/s", "x": x, "y": wave, "lo": [v - 0.003 for v in wave],
+            "shapes": [{"regressor": "turn rate", "unit": "rad/s", "x": x, "y": wave, "lo": [v - 0.003 for v in wave],
                         "hi": [v + 0.003 for v in wave], "share": 0.7}],
             "period": {"regressor": "heading", "value": math.pi, "unit": "rad"},
             "onset": {"t": 61.0, "sd": 1.5},

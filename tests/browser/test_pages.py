@@ -95,7 +95,7 @@ def test_numbers_are_explained_on_hover_with_a_link_that_leads_somewhere(page: P
 def test_every_explanation_has_its_place_in_the_guide(server: Server) -> None:
     files = sorted((ROOT / "static" / "lib").glob("terms*.js"))
     terms = "".join(path.read_text(encoding="utf-8") for path in files)
-    links = set(re.findall(r'"((?:numbers|run-format)(?:#[a-z-]+)?)"\]', terms))
+    links = set(re.findall(r'"((?:numbers|run-format|diagnoses)(?:#[a-z-]+)?)"\]', terms))
     assert {"numbers#ate", "numbers#noise"} <= links
     for link in links:
         path, _, anchor = link.partition("#")

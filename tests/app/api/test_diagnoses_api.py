@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import json
 import tempfile
@@ -10,13 +11,17 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
 from app.db.session import writing
-from app.store import diagnoses
+from app.jobs.kinds import KINDS
+from app.store import diagnoses, jobs
 from core.formats import write_run
+from core.gap import Config, as_json, diagnose
 from core.run import Run
+from core.sensors import CommandLog
 from core.simulation import simulate
 from core.simulation.scenarios import SCENARIOS
 from tests.app.gap_documents import answer, bare_evidence, made
@@ -35,27 +40,42 @@ def sent(server: TestClient, run: Run, name: str, robot: str = "eight") -> str:
     return run_id
 
 
+def drive(seconds: float, first: float) -> Run:
+    """Bends of 4 s, the first to the left for 1.0, with wheels, IMU and reference."""
+    bare = dataclasses.replace(SCENARIOS["figure-eight"].run().crop(0.0, seconds), ranges=None, beacon=None)
+    t = np.arange(0.0, seconds, 0.05)
+    bends, speed = np.where(t // 4 % 2 == 0, 0.6, -0.6), np.where(t % 8 < 7, 0.3, 0.0)
+    return simulate(dataclasses.replace(bare, commands=CommandLog(t=t, v=speed, w=first * bends)), WIDER, 0)
+
+
 @pytest.fixture(scope="module")
 def runs(server: TestClient) -> list[str]:
-    """Two stretches of a drive whose robot has a wider track than simulated."""
-    whole = simulate(SCENARIOS["figure-eight"].run(), WIDER, 0)
-    return [sent(server, whole.crop(0.0, 16.0), "first half"), sent(server, whole.crop(20.0, 30.0), "second half")]
+    """Two drives of a robot with a wider track than simulated: turns both ways, and stops."""
+    return [sent(server, drive(14.0, 1.0), "first drive"), sent(server, drive(8.0, -1.0), "second drive")]
 
 
 @pytest.fixture(scope="module")
 def found(server: TestClient, runs: list[str]) -> dict[str, Any]:
-    """A diagnosis that a worker made."""
-    asked = {"runs": runs[:1], "held_out": runs[1:], "options": {"seed": 5, "tolerances": {"gyro_bias.bias": 0.01}}}
-    job = server.post("/api/v1/diagnoses", json=asked)
-    assert job.status_code == 202, job.text
-    state, end = job.json(), time.monotonic() + 200
-    while state["state"] in ("queued", "running"):
-        assert time.monotonic() < end
-        time.sleep(0.05)
-        state = server.get(f"/api/v1/jobs/{state['id']}").json()
-    assert state["state"] == "done", state
-    told: dict[str, Any] = server.get(f"/api/v1/diagnoses/{state['result']['diagnosis_id']}").json()
-    return told
+    """A diagnosis of the drives, by the steps that the engine and a worker take."""
+    app: Any = server.app
+    params = {
+        "runs": runs[:1], "held_out": runs[1:], "seed": 5, "tolerances": {"gyro_bias.bias": 0.01}, "simulator": None,
+        "name": None,
+    }  # fmt: skip
+    told: list[tuple[float, str]] = []
+    with writing(app.state.engine) as session:
+        job = jobs.create(session, "diagnose", runs[0], params)
+        job.state = "running"
+        arguments = KINDS["diagnose"].arguments(session, app.state.settings, job)
+        key = job.id
+    made = KINDS["diagnose"].task(app.state.settings.data, lambda f, m="": told.append((f, m)), **arguments)
+    with writing(app.state.engine) as session:
+        job = jobs.get_job(session, key, lock=True)
+        saved = KINDS["diagnose"].save(session, app.state.settings, job, json.loads(json.dumps(made)))
+        jobs.finish(job, "done", saved.message, result=saved.result)
+    assert told[0][0] == 0.0 and told[-1] == (1.0, "saving") and len(told) > 4
+    answer: dict[str, Any] = server.get(f"/api/v1/diagnoses/{saved.result['diagnosis_id']}").json()
+    return answer
 
 
 @pytest.fixture
@@ -77,8 +97,28 @@ def test_a_worker_finds_the_wider_track_and_what_makes_it_again_is_kept(found: d
     assert found["gap"]["held_out"] and found["gap"]["after"] < 0.5 * found["gap"]["before"]
     assert [(r["id"], r["held_out"]) for r in found["runs"]] == [(runs[0], False), (runs[1], True)]
     assert found["seed"] == 5 and found["config"] == {"tolerances": {"gyro_bias.bias": 0.01}}
-    assert found["code_version"] and found["robot"] == "eight" and found["name"] == "eight: first half"
+    assert found["code_version"] and found["robot"] == "eight" and found["name"] == "eight: first drive"
     assert all(r["sha256"].startswith(r["id"]) for r in found["runs"])
+
+
+def test_the_command_line_gives_the_same_answer(found: dict[str, Any]) -> None:
+    config = Config(tolerances={"gyro_bias.bias": 0.01}, seed=5)
+    told = as_json(diagnose([drive(14.0, 1.0)], held_out=[drive(8.0, -1.0)], config=config))
+    assert {k: v for k, v in found["result"].items() if k != "runtime_s"} == json.loads(
+        json.dumps({k: v for k, v in told.items() if k != "runtime_s"})
+    )
+
+
+def test_a_diagnosis_is_queued_as_a_job_and_can_be_cancelled(server: TestClient, runs: list[str]) -> None:
+    before = server.get("/api/v1/diagnoses").json()
+    asked = server.post("/api/v1/diagnoses", json={"runs": runs[:1], "options": {"name": "never"}})
+    assert asked.status_code == 202 and asked.json()["kind"] == "diagnose" and asked.json()["run_id"] == runs[0]
+    assert server.post(f"/api/v1/jobs/{asked.json()['id']}/cancel").status_code == 200
+    end = time.monotonic() + 60
+    while (state := server.get(f"/api/v1/jobs/{asked.json()['id']}").json())["state"] in ("queued", "running"):
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    assert state["state"] == "cancelled" and server.get("/api/v1/diagnoses").json() == before
 
 
 def test_evidence_and_files_of_a_found_one(server: TestClient, found: dict[str, Any]) -> None:
@@ -127,9 +167,7 @@ def test_what_cannot_be_diagnosed_is_refused_and_named(
 @pytest.fixture(scope="module")
 def others(server: TestClient) -> dict[str, str]:
     """Runs that cannot be diagnosed, alone or with `runs`."""
-    import dataclasses
-
-    whole = simulate(SCENARIOS["figure-eight"].run(), WIDER, 0)
+    whole = drive(9.0, 1.0)
     robot = dataclasses.replace(whole.meta.robot, track_width=0.9)
     meta = dataclasses.replace(whole.meta, robot=robot)
     return {
