@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from app.exports.effects_common import outside
 from core.effects import active, check_effects, complete
 from core.errors import ParameterError
 from core.robot import EffectSet
@@ -103,6 +104,17 @@ def told(
         "nearest": {e: nearest[e] for e in on if e in nearest},
         "missing": {e: missing[e] for e in on if e in missing},
     }
+
+
+def opening(
+    meta: RunMeta, effects: EffectSet, expressed: set[str], nearest: Mapping[str, str]
+) -> tuple[Values, TrueRobot, dict[str, Any], str]:
+    """What a robot's description begins with: all parameters, its geometry, the three lists, and these as remarks
+    for an XML comment. Raises ParameterError."""
+    values, on = all_effects(meta, effects)
+    lists = told(on, expressed, nearest, outside(expressed | set(nearest)))
+    lines = "\n".join(f"  {line.replace('--', '- -').replace('&', 'and')}" for line in remarks(lists))
+    return values, true_robot(meta, values), lists, lines
 
 
 def remarks(export: Mapping[str, Any]) -> list[str]:

@@ -8,19 +8,7 @@ from __future__ import annotations
 
 import math
 
-from app.exports.effects_base import (
-    EffectExport,
-    TrueRobot,
-    Values,
-    accel_sd,
-    all_effects,
-    gyro_sd,
-    number,
-    remarks,
-    told,
-    true_robot,
-)
-from app.exports.effects_common import outside
+from app.exports.effects_base import EffectExport, TrueRobot, Values, accel_sd, gyro_sd, number, opening
 from core.robot import EffectSet
 from core.run import RunMeta
 
@@ -41,14 +29,11 @@ WIDTH, MASS = 0.03, 8.0  # m, kg: of wheels and body, of no matter to the effect
 
 def effects_sdf(meta: RunMeta, effects: EffectSet, *, rate: float = 100.0) -> EffectExport:
     """A world file with one robot. `rate`: readings of the IMU per second. Raises ParameterError."""
-    values, on = all_effects(meta, effects)
-    robot = true_robot(meta, values)
-    lists = told(on, EXPRESSED, NEAREST, outside(EXPRESSED | set(NEAREST)))
-    comment = "\n".join(f"  {line.replace('--', '- -')}" for line in remarks(lists))
+    values, robot, lists, comment = opening(meta, effects, EXPRESSED, NEAREST)
     text = "\n".join(
         [
             '<?xml version="1.0"?>',
-            f"<!-- Effects of a robot; SI units.\n{comment.replace('&', 'and')}\n-->",
+            f"<!-- Effects of a robot; SI units.\n{comment}\n-->",
             '<sdf version="1.10">',
             '<world name="driftscope">',
             f"  <gravity>{_gravity(values)}</gravity>",
