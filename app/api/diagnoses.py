@@ -17,8 +17,9 @@ from app.api.deps import JobsDep, ReadSession, SettingsDep, WriteSession
 from app.db.tables import Diagnosis, Run
 from app.errors import NotFoundError
 from app.figures import gap_sentence as words
+from app.jobs.kinds import diagnosis_params
 from app.settings import Settings
-from app.simulators import OURS
+from app.simulators import OURS, registered
 from app.store import diagnoses as store
 from app.store import runs as run_store
 from core.effects import EFFECTS
@@ -50,14 +51,9 @@ def create_diagnosis(
 ) -> schemas.Job:
     """Queue a job; its `result.diagnosis_id` is the diagnosis. Runs that cannot be diagnosed are refused at once."""
     check_request(session, settings, wanted)
-    params = {
-        "runs": wanted.runs,
-        "held_out": wanted.held_out,
-        "tolerances": dict(wanted.options.tolerances),
-        "seed": wanted.options.seed,
-        "simulator": None,
-        "name": wanted.options.name,
-    }
+    options = wanted.options.model_dump()
+    options["simulator"] = None if options["simulator"] == OURS else options["simulator"]
+    params = diagnosis_params(wanted.runs, wanted.held_out, **options)
     return schemas.Job(**jobs.get(jobs.submit("diagnose", wanted.runs[0], params)))
 
 
@@ -178,12 +174,13 @@ def check_request(session: Session, settings: Settings, wanted: wire.DiagnoseReq
                 parameter=f"options.tolerances.{key}",
                 found=key,
             )
-    if wanted.options.simulator not in (None, OURS):
+    simulator, known = wanted.options.simulator, [OURS, *registered(settings.simulators)]
+    if simulator is not None and simulator not in known:
         raise ParameterError(
-            f"options.simulator: runs are diagnosed against {OURS!r}, with what their simulator.effects say it models",
+            f"options.simulator: there is no simulator {simulator!r}; expected one of {', '.join(known)}",
             parameter="options.simulator",
-            expected=[OURS],
-            found=wanted.options.simulator,
+            expected=known,
+            found=simulator,
         )
     fitted, kept = (
         [run_store.load_run(session, settings, i) for i in given] for given in (wanted.runs, wanted.held_out)

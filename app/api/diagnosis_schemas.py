@@ -90,7 +90,9 @@ class DiagnoseOptions(BaseModel):
     )
     seed: int = Field(default=0, ge=0, le=MAX_SEED, description="of every random draw")
     simulator: str | None = Field(
-        default=None, max_length=100, description="what the run's simulator.effects say of ours; null or `nominal`"
+        default=None,
+        max_length=100,
+        description="ours (`nominal`, the default: with what the runs' simulator.effects say), or a registered one",
     )
     name: str | None = Field(default=None, min_length=1, max_length=200, description="default: robot and runs")
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:  # `mujoco_robot` is imported alone, by the process that holds
     from app.settings import Settings
 
 LOADED = "examples.txt"  # in the data folder: names of those that were loaded
+DIAGNOSED = "simulated-mission"  # so that a new store has a report to read
 
 
 @contextlib.asynccontextmanager
@@ -36,7 +37,12 @@ def load_examples(settings: Settings, jobs: JobEngine) -> list[str]:
         jobs.submit(
             "ingest",
             None,
-            {"path": str(folder.resolve()), "options": {"file_name": folder.name}, "is_example": True},
+            {
+                "path": str(folder.resolve()),
+                "options": {"file_name": folder.name},
+                "is_example": True,
+                "diagnose": folder.name == DIAGNOSED,
+            },
         )
         for folder in new
     ]

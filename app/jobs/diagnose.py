@@ -19,11 +19,13 @@ def diagnose(
     tolerances: Mapping[str, float],
     seed: int,
     simulator: str | None = None,
+    simulators: str | None = None,
 ) -> dict[str, Any]:
     """What stored runs say of their simulator, for `app.store.diagnoses`.
 
-    tolerances: by "effect.parameter", in place of the table's.
+    tolerances: by "effect.parameter", in place of the table's. simulator: a name in the file `simulators`; None: ours.
     """
+    from app.simulators import chosen
     from app.store import arrays
     from app.store.provenance import code_version
     from core.gap import Config, as_json, evidence_json
@@ -32,7 +34,8 @@ def diagnose(
     progress(0.0, "loading")
     runs, kept = ([arrays.run_from_manifest(data, m) for m in given] for given in (manifests, held_out))
     config = Config(tolerances=dict(tolerances), seed=seed)
-    found = find(runs, held_out=kept, config=config, progress=progress)
+    foreign = chosen(simulator, Path(simulators) if simulators else None)
+    found = find(runs, foreign, held_out=kept, config=config, progress=progress)
     progress(1.0, "saving")
     return {
         "result": plain(as_json(found)),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,12 +11,13 @@ from sqlalchemy.orm import Session
 from app.db.tables import Job
 from app.errors import NotFoundError
 from app.figures.gap_sentence import headline
-from app.jobs import calibration, diagnose, imu, tasks
+from app.jobs import calibration, diagnose, imu, odometry, tasks
 from app.jobs import live as live_job
 from app.settings import Settings
 from app.store import calibrations, diagnoses, jobs, results, runs
 from app.store import imu as imu_store
 from app.store import live as live_store
+from app.store import odometry as odometry_store
 from app.store.provenance import code_version
 
 
@@ -51,6 +52,8 @@ def _ingest_arguments(session: Session, settings: Settings, job: Job) -> dict[st
 def _ingest_save(session: Session, settings: Settings, job: Job, manifest: dict[str, Any]) -> Saved:
     run = runs.add_run(session, manifest, is_example=bool(job.params.get("is_example")))
     following = jobs.first_jobs(session, run.id)
+    if job.params.get("diagnose"):
+        following.append(jobs.create(session, "diagnose", run.id, diagnosis_params([run.id])))
     return Saved({"run_id": run.id}, f"stored as {run.name}", run.id, following)
 
 
@@ -126,9 +129,26 @@ def _correct_save(session: Session, settings: Settings, job: Job, manifest: dict
     return Saved({"run_id": run.id}, f"stored as {run.name}", job.run_id, following)
 
 
-def _diagnose_arguments(session: Session, settings: Settings, job: Job) -> dict[str, Any]:
-    asked = job.params
+def diagnosis_params(
+    fitted: Sequence[str],
+    held_out: Sequence[str] = (),
+    *,
+    tolerances: Mapping[str, float] | None = None,
+    seed: int = 0,
+    simulator: str | None = None,
+    name: str | None = None,
+) -> dict[str, Any]:
+    """Parameters of a job `diagnose`: ids of runs, tolerances by "effect.parameter", a registered simulator."""
     return {
+        "runs": list(fitted), "held_out": list(held_out), "tolerances": dict(tolerances or {}), "seed": seed,
+        "simulator": simulator, "name": name,
+    }  # fmt: skip
+
+
+def _diagnose_arguments(session: Session, settings: Settings, job: Job) -> dict[str, Any]:
+    asked, path = job.params, settings.simulators
+    return {
+        "simulators": str(path.resolve()) if path else None,
         "manifests": [runs.manifest(session, run_id) for run_id in asked["runs"]],
         "held_out": [runs.manifest(session, run_id) for run_id in asked["held_out"]],
         **{key: asked[key] for key in ("tolerances", "seed", "simulator")},
@@ -142,6 +162,20 @@ def _diagnose_save(session: Session, settings: Settings, job: Job, made: dict[st
     )
     told = headline(row.result)
     return Saved({"diagnosis_id": row.id, "verdict": row.verdict}, f"{row.name}: {told}", job.run_id)
+
+
+def _odometry_arguments(session: Session, settings: Settings, job: Job) -> dict[str, Any]:
+    asked = job.params
+    manifests = [runs.manifest(session, run_id) for run_id in asked["runs"]]
+    return {"manifests": manifests, "reference": asked["reference"], "own_clocks": asked["own_clocks"]}
+
+
+def _odometry_save(session: Session, settings: Settings, job: Job, made: dict[str, Any]) -> Saved:
+    config = {name: job.params[name] for name in ("reference", "own_clocks")}
+    row = odometry_store.save(session, job.params["runs"], made, job_id=job.id, config=config)
+    values = row.result["parameters"].values()
+    shown = sum(value is not None for value in values)
+    return Saved({"run_id": row.run_id}, f"{shown} of {len(values)} parameters shown", row.run_id)
 
 
 def _live_arguments(session: Session, settings: Settings, job: Job) -> dict[str, Any]:
@@ -165,5 +199,6 @@ KINDS: dict[str, Kind] = {
     "calibrate": Kind("calibrate an IMU", calibration.calibrate, _calibrate_arguments, _calibrate_save),
     "judge": Kind("judge a calibration", calibration.judge, _judge_arguments, _imu_save),
     "correct": Kind("correct a run", calibration.correct, _correct_arguments, _correct_save),
+    "odometry": Kind("calibrate odometry", odometry.calibrate, _odometry_arguments, _odometry_save),
     "diagnose": Kind("diagnose the gap", diagnose.diagnose, _diagnose_arguments, _diagnose_save),
 }

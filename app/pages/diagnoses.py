@@ -14,6 +14,7 @@ from app.db.session import reading
 from app.db.tables import Run
 from app.figures.gap_sentence import VERDICTS
 from app.pages.base import Page, render, route
+from app.simulators import OURS
 from app.store import diagnoses as store
 from app.store import jobs as job_store
 from core.effects import EFFECTS
@@ -33,6 +34,7 @@ class DiagnosesPage(Page):
     runs: list[dict[str, Any]]
     effects: list[dict[str, Any]]
     verdicts: dict[str, str]
+    simulators: list[str]
 
 
 @route(router, "/diagnoses")
@@ -53,6 +55,7 @@ def diagnoses(
             runs=[_choice(run) for run in _offered(session, wanted)],
             effects=_sizes(),
             verdicts=VERDICTS,
+            simulators=[OURS, *request.app.state.sandbox.simulators()],
         )
     return render(request, page)
 

@@ -6,7 +6,7 @@ import { diagnose } from "./diagnose-job.js";
 
 const SHOWN = 100;
 
-export function diagnosePanel({ runs, effects, chosen, held }, onFound) {
+export function diagnosePanel({ runs, effects, simulators, chosen, held }, onFound) {
   const fit = new Set(chosen);
   const keep = new Set(held);
   const matters = [];
@@ -17,6 +17,7 @@ export function diagnosePanel({ runs, effects, chosen, held }, onFound) {
   const told = h("span", { class: "dim", id: "told-choice" });
   const name = h("input", { maxlength: "200", placeholder: "robot and runs", "aria-label": "Name" });
   const seed = h("input", { type: "number", min: "0", step: "1", value: "0", "aria-label": "Seed" });
+  const simulator = h("select", { "aria-label": "Simulator", "data-term": "sandbox_simulator" }, simulators.map((s) => h("option", { value: s }, s)));
   const list = h("div", { class: "matters", id: "matters" });
   const more = h("button", { type: "button", class: "button quiet", onclick: () => addSize() }, "Set another size that matters");
   const byId = new Map(runs.map((r) => [r.id, r]));
@@ -82,7 +83,7 @@ export function diagnosePanel({ runs, effects, chosen, held }, onFound) {
     h("div", { class: "row" }, search, told),
     h("div", { class: "choose" }, h("table", { class: "table" }, h("thead", {}, h("tr", {}, h("th", { class: "pick", "data-term": "gap_fitted" }, "Fit"), h("th", { class: "pick", "data-term": "gap_held_out" }, "Hold out"), h("th", {}, "Run"), h("th", {}, "Robot"), h("th", { class: "num" }, "Length"), h("th", {}, "Streams"), h("th", {}, "When"))), body)),
     h("details", {}, h("summary", { class: "dim", "data-term": "gap_tolerance" }, "What matters, seed, name"), list, more, h("div", { class: "options" }, h("label", { class: "field" }, "Seed", seed), h("label", { class: "field" }, "Name", name))),
-    h("p", { class: "dim" }, "Against our nominal simulator, with what the runs' own simulator.effects say it models already."),
+    h("p", { class: "row dim" }, "Against the simulator", simulators.length > 1 ? simulator : h("b", {}, simulators[0]), "with what the runs' own simulator.effects say it models already."),
     h("div", { class: "row" }, go),
     note,
   );
@@ -90,7 +91,7 @@ export function diagnosePanel({ runs, effects, chosen, held }, onFound) {
   form.addEventListener("submit", async (event) => {
     event.preventDefault();
     go.disabled = true;
-    const options = { tolerances: tolerances(), seed: Math.max(0, Math.floor(Number(seed.value) || 0)), ...(name.value.trim() ? { name: name.value.trim() } : {}) };
+    const options = { simulator: simulator.value, tolerances: tolerances(), seed: Math.max(0, Math.floor(Number(seed.value) || 0)), ...(name.value.trim() ? { name: name.value.trim() } : {}) };
     const id = await diagnose(note, { runs: [...fit], held_out: [...keep], options });
     if (id) onFound(id);
     paint();

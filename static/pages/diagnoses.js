@@ -20,7 +20,7 @@ function openPanel(open = $("#panel").hidden) {
   $("#panel").hidden = !open;
   $("#new").setAttribute("aria-expanded", String(open));
   if (open && !panel) {
-    panel = diagnosePanel({ runs: page.runs, effects: page.effects, chosen: ids("runs"), held: ids("held_out") }, (id) => location.assign(`/diagnoses/${id}`));
+    panel = diagnosePanel({ runs: page.runs, effects: page.effects, simulators: page.simulators, chosen: ids("runs"), held: ids("held_out") }, (id) => location.assign(`/diagnoses/${id}`));
     $("#panel").append(h("h2", {}, "Which runs of a robot"), page.runs.length ? panel : h("p", { class: "dim" }, "No stored run has commands or wheels: add one under Runs."));
   }
   if (open) $("#panel input")?.focus();

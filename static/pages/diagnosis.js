@@ -57,7 +57,7 @@ async function patch(target) {
 
 function command() {
   const of = (held) => diagnosis.runs.filter((r) => r.held_out === held).map((r) => r.id).join(" ");
-  return `driftscope diagnose ${of(false)}${of(true) ? ` --held-out ${of(true)}` : ""} --json diagnosis.json`;
+  return `driftscope diagnose ${of(false)}${of(true) ? ` --held-out ${of(true)}` : ""}${diagnosis.simulator ? ` --simulator ${diagnosis.simulator}` : ""} --json diagnosis.json`;
 }
 
 function startTools() {

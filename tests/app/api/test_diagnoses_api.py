@@ -16,7 +16,7 @@ import pytest
 from fastapi.testclient import TestClient
 
 from app.db.session import writing
-from app.jobs.kinds import KINDS
+from app.jobs.kinds import KINDS, diagnosis_params
 from app.store import diagnoses, jobs
 from core.formats import write_run
 from core.gap import Config, as_json, diagnose
@@ -58,10 +58,7 @@ def runs(server: TestClient) -> list[str]:
 def found(server: TestClient, runs: list[str]) -> dict[str, Any]:
     """A diagnosis of the drives, by the steps that the engine and a worker take."""
     app: Any = server.app
-    params = {
-        "runs": runs[:1], "held_out": runs[1:], "seed": 5, "tolerances": {"gyro_bias.bias": 0.01}, "simulator": None,
-        "name": None,
-    }  # fmt: skip
+    params = diagnosis_params(runs[:1], runs[1:], seed=5, tolerances={"gyro_bias.bias": 0.01})
     told: list[tuple[float, str]] = []
     with writing(app.state.engine) as session:
         job = jobs.create(session, "diagnose", runs[0], params)
