@@ -51,6 +51,7 @@ def _rests(length: float, config: FilterConfig) -> list[Constant]:
         Constant("DS_WINDOW", f"{kernel.WINDOW}U", "blocks", "in which a rest is recognised"),
         Constant("DS_EVEN", number(kernel.EVEN), "", "chi-square of a window's means, at 1e-5"),
         Constant("DS_STEADY", number(kernel.STEADY), "", "chi-square of three windows' means, at 1e-2"),
+        Constant("DS_QUIETER", number(kernel.QUIETER), "sd", "that a window must be quieter by, to be a new level"),
         Constant("DS_FAR", number(kernel.FAR), "sd", "of a block's variance that speak against rest"),
         Constant("DS_CLIP", number(kernel.CLIP), "sd", "beyond which a reading counts as this"),
         Constant("DS_SCALES", f"{len(kernel.SCALES)}U", "", "how many scales there are"),

@@ -37,6 +37,10 @@ static void tabulate(ds_bias *s)
     for (size_t j = 0U; j < DS_BINS; j++) {
         s->bin[j].used = beyond_chance(&s->bin[j]);
     }
+    /* Of the first blocks only those were taken for rest whose noise hid the creep: told from the next two bins. */
+    if ((s->bin[1].used * s->bin[2].used) > 0.0f) {
+        s->bin[0].used = s->bin[1].used * sqrtf(ds_most(s->bin[1].used / s->bin[2].used, 1.0f));
+    }
     for (uint32_t k = 0U; k < DS_TABLE; k++) {
         const float at = (float)k + 0.5f;
         while ((i < (DS_BINS - 2U)) && (at > (0.5f * (float)(edges[i + 1U] + edges[i + 2U])))) {
@@ -49,9 +53,10 @@ static void tabulate(ds_bias *s)
         const ds_bin *const b = &s->bin[i + 1U];
         s->tail_mean[k] = ((1.0f - u) * a->used) + (u * b->used);
         s->tail_variance[k] = ds_most(((1.0f - u) * with_unused(a)) + (u * with_unused(b)), 0.0f);
-        if (k > 0U) {
-            s->tail_variance[k] = ds_least(s->tail_variance[k], s->tail_variance[k - 1U]);
-        }
+    }
+    /* Early on a rest shows too little: what stood out was not taken for one. */
+    for (uint32_t k = DS_TABLE - 1U; k > 0U; k--) {
+        s->tail_variance[k - 1U] = ds_most(s->tail_variance[k - 1U], s->tail_variance[k]);
     }
 }
 
@@ -128,8 +133,9 @@ void ds_set_level(ds_bias *s, uint32_t k)
         whole = ds_heard(b);
     }
     if (whole && (total > 0.0f)) {
-        const float below = 1.0f - ds_least(0.7f, 3.0f * sqrtf(2.0f / (held - 1.0f)));
-        if ((s->level.reading <= 0.0f) || (most < (s->level.reading * below))) {
+        /* That many deviations of a chi-square of as many degrees of freedom as the window holds (Wilson, Hilferty). */
+        const float root = ds_most(1.0f - (DS_QUIETER * sqrtf(2.0f / (9.0f * (float)DS_WINDOW * (held - 1.0f)))), 0.0f);
+        if ((s->level.reading <= 0.0f) || (most < (s->level.reading * root * root * root))) {
             begin_level(s, k, total, plain, held);
         }
     }
@@ -177,7 +183,7 @@ static void learn_levels(ds_bias *s, const ds_block *b)
         const float clipped = b->mean - s->last_mean;
         const float plain = b->raw - s->last_raw;
         level->noise += share * (ds_least(0.5f * clipped * clipped, 8.0f * level->noise) - level->noise);
-        level->white += share * (ds_least(0.5f * plain * plain, 8.0f * level->white) - level->white);
+        level->white += share * (ds_least(0.5f * plain * plain, 25.0f * level->white) - level->white);
     }
 }
 

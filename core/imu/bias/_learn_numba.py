@@ -21,6 +21,7 @@ EVEN = 25.9  # chi-square of WINDOW - 1 degrees of freedom at 1e-5
 STEADY = 24.7  # chi-square of 3 WINDOW - 1 at 1e-2
 FAR = 5.0  # relative deviations of a block's variance that speak against rest
 NOTHING = 1e30  # variance of what was not heard
+QUIETER = 5.0  # deviations by which blocks must be quieter than what passed for rest
 CLIP = 3.0  # deviations beyond which a reading counts as this
 
 # A block: [s], [rad], [rad^2] hidden by a gap, readings, clipped mean [rad/s], its readings' clipped and plain
@@ -119,8 +120,9 @@ def set_level(s: State, c: Floats, k: int) -> None:
         total += b[CLIPPED] / WINDOW
         plain += b[PLAIN] / WINDOW
         held += b[COUNT] / WINDOW
-    spread = np.sqrt(2 / (held - 1))
-    if total > 0 and (s.level[READING] <= 0 or most < s.level[READING] * (1 - min(0.7, 3 * spread))):
+    # QUIETER deviations of a chi-square (Wilson & Hilferty) of as many degrees of freedom as the window holds.
+    below = max(1 - QUIETER * np.sqrt(2 / (9 * WINDOW * (held - 1))), 0.0) ** 3
+    if total > 0 and (s.level[READING] <= 0 or most < s.level[READING] * below):
         _begin(s, c, k, total, plain, held)
 
 
@@ -176,6 +178,9 @@ def _tabulate(s: State) -> None:
         q = s.bins[i]
         chance = DOUBT * q[5] / (q[4] + 1)
         q[6] = q[2] * (1 - chance / (q[2] * q[2])) if q[2] * q[2] > chance else 0.0
+    # Of the first blocks only those were taken for rest whose noise hid the creep: it is told from the next two bins.
+    if s.bins[1, 6] * s.bins[2, 6] > 0:
+        s.bins[0, 6] = s.bins[1, 6] * np.sqrt(max(s.bins[1, 6] / s.bins[2, 6], 1.0))
     for k in range(TABLE):
         at = k + 0.5
         i = 0
@@ -187,8 +192,9 @@ def _tabulate(s: State) -> None:
         # What of the mean is not used counts as variance.
         near, far = s.bins[i, 2] - s.bins[i, 6], s.bins[i + 1, 2] - s.bins[i + 1, 6]
         s.tail[k, 1] = max((1 - u) * (s.bins[i, 3] + near * near) + u * (s.bins[i + 1, 3] + far * far), 0.0)
-        if k > 0:
-            s.tail[k, 1] = min(s.tail[k, 1], s.tail[k - 1, 1])
+    # Early on a rest shows too little: what stood out was not taken for one.
+    for k in range(TABLE - 2, -1, -1):
+        s.tail[k, 1] = max(s.tail[k, 1], s.tail[k + 1, 1])
 
 
 @numba.njit(cache=False)
@@ -239,7 +245,7 @@ def _learn_levels(s: State, b: Floats) -> None:
         d = b[MEAN] - s.last[0]
         level[NOISE] += share * (min(d * d / 2, 8 * level[NOISE]) - level[NOISE])
         d = b[RAW] - s.last[1]
-        level[WHITE] += share * (min(d * d / 2, 8 * level[WHITE]) - level[WHITE])
+        level[WHITE] += share * (min(d * d / 2, 25 * level[WHITE]) - level[WHITE])  # outliers turn the heading too
 
 
 @numba.njit(cache=False)

@@ -26,6 +26,7 @@ Ints = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
 
 FAST = 0.8  # of the Gauss-Markov sd: flicker too fast for means at rest to show, yet part of the bias
+FASTEST = 4.0  # s: of flicker faster than this hardly anything is left in a bias
 HINDSIGHT = 1500  # blocks after which noise levels count as known
 
 
@@ -43,7 +44,7 @@ class FilterConfig:
     enter: float = 2.0
     patience: float = 30.0
     tail: float = 3.0
-    tail_tau: float = 2.5
+    tail_tau: float = 5.0
     stop: float = 2.0
     first_sd: float = 0.2
     noise: BiasNoise | None = None
@@ -112,7 +113,8 @@ def known_rests(run: Run, imu: ImuLog, resting: Flags, config: FilterConfig, hin
     marks = done.marks.copy()
     marks[:, 0] = still
     marks[:, 1] = _since(still)
-    done = replace(done, marks=marks)
+    nothing = done.state._replace(tail=np.zeros_like(done.state.tail))  # where rests are known, nothing creeps in them
+    done = replace(done, marks=marks, state=nothing)
     noise = config.noise or _learnt(done, blocks)
     forward, heading, bias = _again(blocks, done, noise, config, np.zeros((0, 2)))
     if not hindsight:
@@ -210,7 +212,9 @@ def _result(
         fast: Floats | float = np.concatenate(([0.0], done.live[:, 6]))[at]
     else:
         at = np.minimum(-(-np.arange(len(out)) // cells), count)
-        fast = noise.sd**2 + usual(noise.N).sd ** 2
+        # Every octave of flicker holds as much: the fewer there are below the process' time, the less is missing.
+        octaves = np.log(max(noise.tau / FASTEST, 1.0)) / np.log(kernel.USUAL_TAU / FASTEST)
+        fast = noise.sd**2 * min(float(octaves), 1.0) + usual(noise.N).sd ** 2
         ends = np.concatenate((out[:1], blocks.t))
         still = done.still
         calm = np.concatenate((still[:1], still))[at]
