@@ -241,6 +241,22 @@ class Calibration(Base):
     notes: Mapped[list[Any]]
 
 
+class OdometryCalibration(Base):
+    """The latest odometry calibration of a run (schema odometry-calibration/1), with what makes it again."""
+
+    __tablename__ = "odometry_calibrations"
+    run_id: Mapped[str] = mapped_column(ForeignKey("runs.id", ondelete="CASCADE"), primary_key=True)
+    job_id: Mapped[str | None] = mapped_column(String(16))
+    run_ids: Mapped[list[Any]]  # of all runs that it was made from, this one first
+    run_sha256: Mapped[list[Any]]
+    config: Mapped[dict[str, Any]]
+    code_version: Mapped[str] = mapped_column(String(80))
+    created_at: Mapped[datetime] = mapped_column(default=now)
+    runtime_s: Mapped[float]
+    result: Mapped[dict[str, Any]]
+    robot: Mapped[dict[str, Any]]  # the robot section of run.json with what was found
+
+
 class Diagnosis(Base):
     """A stored sim-to-real diagnosis (schema gap/1) with all that is needed to make it again."""
 

@@ -7,7 +7,8 @@ each pose or the tag on it, as it was `reference_delay` before.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import copy
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -52,6 +53,7 @@ class Chain:
     weight_steps: Array
     weight_reference: Array
     delay: int | None = None
+    ends: tuple[float, float] | None = None  # of the whole run, where this is a part of one
 
     @property
     def t(self) -> Array:
@@ -95,8 +97,26 @@ class Chain:
 
     def nodes(self) -> Array:
         """Stamps of the gyro bias's nodes."""
-        count = 1 + max(1, int(np.ceil((self.t[-1] - self.t[0]) / BIAS_EVERY)))
-        return np.linspace(self.t[0], self.t[-1], count)
+        begin, end = self.ends or (float(self.t[0]), float(self.t[-1]))
+        return np.linspace(begin, end, 1 + max(1, int(np.ceil((end - begin) / BIAS_EVERY))))
+
+    def head(self, count: int) -> Chain:
+        """The first `count` knots, where `linearise` was last called: enough to learn noise from."""
+        k = min(count, len(self.t))
+        if k == len(self.t):
+            return self
+        part, r = copy.copy(self), self.reference
+        part.reference = replace(r, t=r.t[:k], z=r.z[:k], places=None if r.places is None else r.places[:k])
+        part.weight_steps, part.weight_reference = self.weight_steps[: k - 1], self.weight_reference[:k]
+        z, Az, Jz, swept = self._seen
+        part._seen = (z[:k], Az[:k], Jz[:k], swept[:k])
+        e, A, B, J, rolled = (rows[: k - 1] for rows in self._steps)
+        part._steps = (e, A, B, J, rolled)
+        if self._gyro is not None:
+            e, A, J, variance = (rows[: k - 1] for rows in self._gyro)
+            part._gyro = (e, A, J, variance)
+        part.ends = self.ends
+        return part
 
     def linearise(self, shared: Array) -> None:
         """Residuals and Jacobians at the current poses and this (n,) of shared unknowns."""

@@ -45,6 +45,7 @@ PLAIN, STEPS = 3, 2  # Gauss-Newton steps before the first round, and in each
 SHOWN = 0.3  # a parameter is shown where its sd is below this share of its plausible width
 FARTHEST = 10.0  # plausible widths from nominal; beyond, the search has not found the robot
 ALIKE = 0.9  # correlation worth telling
+LEARN_FROM, FEWEST = 4000, 400  # knots of all runs, of each at least, that noise is learnt from
 SLIPS = (2e-4, 0.1)  # m/sqrt(m), range of what is learnt
 USUAL, USUAL_SPREAD = Noise(), 2.0  # slips before the runs speak: within this factor of e
 
@@ -189,6 +190,7 @@ def _learnt(chains: Sequence[Chain], shared: Array, free: npt.NDArray[np.bool_],
     from scipy.optimize import minimize
 
     stated = all(c.reference.stated for c in chains)
+    chains = [c.head(max(LEARN_FROM // len(chains), FEWEST)) for c in chains]
 
     def noise_of(logs: Array) -> Noise:
         slip, side = np.clip(np.exp(logs[:2]), *SLIPS)
