@@ -15,18 +15,28 @@ def add_commands(commands: Any, run_help: str) -> None:
     diagnose.add_argument("--held-out", nargs="+", default=[], metavar="RUN", help="runs that only judge the result")
     diagnose.add_argument("--json", metavar="FILE", help="the diagnosis as JSON (- for standard output)")
     diagnose.add_argument("--evidence", metavar="FILE", help="what stands behind it, for a report, as JSON")
+    diagnose.add_argument(
+        "--simulator",
+        metavar="NAME",
+        help="one registered in DRIFTSCOPE_SIMULATORS, or sim/ of every RUN (default nominal)",
+    )
     diagnose.add_argument("--data", type=Path, help="data folder of stored runs (default data)")
     diagnose.set_defaults(run=_diagnose)
 
 
 def _diagnose(options: argparse.Namespace) -> int:
     from app.cli import OK, _progress, run_of, write_json
+    from app.settings import Settings
+    from app.simulators import chosen
     from core.gap import as_json, diagnose, evidence_json
 
     progress = _progress("diagnose")
     runs = [run_of(source, options.data) for source in options.sources]
     held_out = [run_of(source, options.data) for source in options.held_out]
-    diagnosis = diagnose(runs, held_out=held_out, progress=progress)
+    path = Settings.from_env().simulators
+    every = [*options.sources, *options.held_out]
+    foreign = [one for source in every if (one := chosen(options.simulator, path, Path(source))) is not None]
+    diagnosis = diagnose(runs, foreign or None, held_out, progress=progress)
     found = as_json(diagnosis)
     progress(1.0, "done")
     if options.evidence:

@@ -10,86 +10,61 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
-import numpy as np
-
-from core.effects import EFFECTS
-from core.gap.candidates import Reach, candidates
+from core.gap.beside import against
 from core.gap.checks import check_runs, simulator_of
 from core.gap.conclude import conclude
-from core.gap.explain import Progress, explain, silent
-from core.gap.floor import Floor
-from core.gap.linear import Problem, with_floor
+from core.gap.explain import Progress, silent
 from core.gap.reference import restarts_of
+from core.gap.searched import searched
 from core.gap.stretches import on_a_part
 from core.gap.types import Config, Diagnosis
-from core.gap.world import World, make_world
+from core.gap.world import make_world
 from core.robot import EffectSet
 from core.run import Run
+from core.simulation.foreign import Foreign
 
 
 def diagnose(
     runs: Sequence[Run],
-    simulator: EffectSet | None = None,
+    simulator: EffectSet | Foreign | Sequence[Foreign] | None = None,
     held_out: Sequence[Run] = (),
     config: Config | None = None,
     progress: Progress = silent,
 ) -> Diagnosis:
     """The gap between runs of one robot and its simulator.
 
-    simulator: effects it already models (default: as the runs' `simulator.effects` say). held_out: runs that take no
-    part in the fit. Raises ParameterError, MissingStreamError, NotEnoughDataError; whatever `progress` raises.
+    simulator: effects it already models (default: as the runs' `simulator.effects` say), or the user's own simulator
+    (`core.simulation.foreign`; recordings: one per run, held-out runs last). held_out: runs that take no part in the
+    fit. Raises ParameterError, MissingStreamError, NotEnoughDataError; whatever `progress` raises.
     """
     began = time.perf_counter()
     config = config or Config()
     check_runs(runs, held_out)
-    known = simulator_of(runs, simulator)
-    runs = [_with_known(run, known) for run in runs]
-    held_out = [_with_known(run, known) for run in held_out]
     progress(0.0, "aligning")
-    worlds = tuple(make_world(run, restarts_of(run, config.window)) for run in runs)
-    problem = with_floor(Problem(worlds, Floor({}, {}, {}), known), {})
-    reach = reach_of(worlds)
-    tried = candidates(worlds[0].channels, list(runs[0].meta.beacons), reach, known, _warm(runs))
-    progress(0.1, "searching")
-    found = explain(problem, tried, progress)
-    if any(run.truth is None for run in runs) and any(EFFECTS[name].family in PATH for name in found.model):
-        progress(0.6, "again from the path set right")
-        worlds = tuple(make_world(run, restarts_of(run, config.window, found.model)) for run in runs)
-        found = explain(with_floor(Problem(worlds, Floor({}, {}, {}), known), {}), tried)
+    runs, held_out, known = _seen(runs, held_out, simulator, config.seed)
+    one = searched(runs, known, config.window, progress)
     progress(0.7, "scoring")
-    kept = tuple(make_world(run, restarts_of(run, config.window, found.model)) for run in held_out)
-    part = None if kept else on_a_part(runs, found, tried, known, config)
-    out = conclude(found, worlds, kept, reach, known, config, part)
+    kept = tuple(make_world(run, restarts_of(run, config.window, one.found.model)) for run in held_out)
+    part = None if kept else on_a_part(runs, one.found, one.tried, known, config)
+    out = conclude(one.found, one.worlds, kept, one.reach, known, config, part)
     return dataclasses.replace(out, runtime_s=time.perf_counter() - began)
 
 
-PATH = ("kinematics", "ground", "beacons")
-"""Families whose effects bend a path that was smoothed without them."""
+def _seen(
+    runs: Sequence[Run],
+    held_out: Sequence[Run],
+    simulator: EffectSet | Foreign | Sequence[Foreign] | None,
+    seed: int,
+) -> tuple[list[Run], list[Run], EffectSet]:
+    """The runs as their simulator's own figures of them are, or as seen from the user's; what it models already."""
+    if simulator is None or isinstance(simulator, Mapping):
+        known = simulator_of(runs, simulator)
+        return [_with_known(run, known) for run in runs], [_with_known(run, known) for run in held_out], known
+    every, known = against([*runs, *held_out], simulator, seed)
+    return every[: len(runs)], every[len(runs) :], known
 
 
 def _with_known(run: Run, known: EffectSet) -> Run:
     return dataclasses.replace(run, meta=dataclasses.replace(run.meta, effects=known))
-
-
-def _warm(runs: Sequence[Run]) -> bool:
-    """Whether a temperature was recorded that changes."""
-    logs = [run.imu.temperature for run in runs if run.imu is not None and run.imu.temperature is not None]
-    return (
-        bool(logs)
-        and len(logs) == len([r for r in runs if r.imu is not None])
-        and any(float(np.nanmax(log) - np.nanmin(log)) > 0.0 for log in logs if len(log))
-    )
-
-
-def reach_of(worlds: Sequence[World]) -> Reach:
-    """What the runs reach, from what drives them."""
-    speed = acceleration = turn = 0.0
-    for world in worlds:
-        for side in (world.body_inputs.left, world.body_inputs.right):
-            speed = max(speed, float(np.abs(side[:, 0]).max(initial=0.0)))
-            acceleration = max(acceleration, float(np.quantile(np.abs(side[:, 1]), 0.999)) if len(side) else 0.0)
-        rate = world.body_inputs.right[:, 0] - world.body_inputs.left[:, 0]
-        turn = max(turn, float(np.abs(rate).max(initial=0.0)) / (world.run.meta.robot.track_width or 1.0))
-    return Reach(speed, acceleration, turn)

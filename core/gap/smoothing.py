@@ -9,6 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solveh_banded
 
+from core.sensors import WheelLog
+
 Array = npt.NDArray[np.float64]
 
 WEIGHTS = np.geomspace(1e10, 1e-2, 25)
@@ -41,3 +43,19 @@ def _penalty(n: int) -> Array:
         for j in range(i, 4):
             bands[3 - (j - i), j : n - 3 + j] += row[i] * row[j]
     return bands
+
+
+def smooth_wheels(wheels: WheelLog, tick: float | None) -> WheelLog:
+    """Encoders' angles as smooth as their rounding to `tick` [rad] allows: what drives a body where no command does."""
+    sides = []
+    for angle in (wheels.left, wheels.right):
+        values = np.asarray(angle, dtype=np.float64)
+        if not np.isfinite(values).all() or len(values) < SHORT:
+            return wheels
+        noise = float(np.median(np.abs(np.diff(values, 3)))) / 0.67449 / np.sqrt(20.0)
+        sides.append(smooth(values, max(tick / np.sqrt(12.0) if tick else 0.0, noise, 1e-9)))
+    return WheelLog(t=wheels.t, left=sides[0], right=sides[1])
+
+
+SHORT = 8
+"""Fewer readings than this are left as they are."""

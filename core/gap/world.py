@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from core.effects import EFFECTS
+from core.gap.smoothing import smooth_wheels
 from core.robot import EffectSet
 from core.run import Run
 from core.simulation import params as P
@@ -148,7 +149,7 @@ def make_world(run: Run, restarts: Array) -> World:
     readings = {name: values[known[name]] for name, values in readings.items()}
     instants = [times[name] for name in POSES if name in times]
     stamps = np.unique(np.concatenate([*instants, restarts[:, 0] - BEFORE]))
-    inputs = prepare(dataclasses.replace(run, wheels=None) if run.commands is not None else run, restarts)
+    inputs = prepare(_driving(run), restarts)
     inputs = inputs._replace(truth=stamps, wheels=np.empty(0))
     wheel_inputs = None
     if run.commands is not None and run.wheels is not None and len(run.commands):
@@ -167,6 +168,14 @@ def make_world(run: Run, restarts: Array) -> World:
         wheel_inputs=wheel_inputs,
         drive=drive_effects(run.meta.effects) if run.commands is not None else None,
     )
+
+
+def _driving(run: Run) -> Run:
+    """The run by whose commands, or smoothed wheels, the body is driven."""
+    if run.commands is not None or run.wheels is None:
+        return dataclasses.replace(run, wheels=None)
+    ticks = run.meta.robot.ticks_per_rev
+    return dataclasses.replace(run, wheels=smooth_wheels(run.wheels, 2.0 * np.pi / ticks if ticks else None))
 
 
 def _column(run: Run, name: str) -> Array:

@@ -1,0 +1,68 @@
+"""The whole search over runs: worlds, candidates, both links; without truth, again from the path set right."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.effects import EFFECTS
+from core.gap.candidates import Candidate, Reach, candidates
+from core.gap.explain import Progress, Search, explain, silent
+from core.gap.floor import Floor
+from core.gap.linear import Problem, with_floor
+from core.gap.reference import restarts_of
+from core.gap.world import World, make_world
+from core.robot import EffectSet
+from core.run import Run
+
+PATH = ("kinematics", "ground", "beacons")
+"""Families whose effects bend a path that was smoothed without them."""
+
+
+@dataclass(frozen=True)
+class Searched:
+    """What was found, on which worlds, among which candidates."""
+
+    found: Search
+    worlds: tuple[World, ...]
+    tried: tuple[Candidate, ...]
+    reach: Reach
+
+
+def searched(runs: Sequence[Run], known: EffectSet, window: float, progress: Progress = silent) -> Searched:
+    """Every effect that these runs show beside what the simulator already models."""
+    worlds = tuple(make_world(run, restarts_of(run, window)) for run in runs)
+    problem = with_floor(Problem(worlds, Floor({}, {}, {}), known), {})
+    reach = reach_of(worlds)
+    tried = candidates(worlds[0].channels, list(runs[0].meta.beacons), reach, known, _warm(runs))
+    progress(0.1, "searching")
+    found = explain(problem, tried, progress)
+    if any(run.truth is None for run in runs) and any(EFFECTS[name].family in PATH for name in found.model):
+        progress(0.6, "again from the path set right")
+        worlds = tuple(make_world(run, restarts_of(run, window, found.model)) for run in runs)
+        found = explain(with_floor(Problem(worlds, Floor({}, {}, {}), known), {}), tried)
+    return Searched(found, worlds, tuple(tried), reach)
+
+
+def _warm(runs: Sequence[Run]) -> bool:
+    """Whether a temperature was recorded that changes."""
+    logs = [run.imu.temperature for run in runs if run.imu is not None and run.imu.temperature is not None]
+    return (
+        bool(logs)
+        and len(logs) == len([r for r in runs if r.imu is not None])
+        and any(float(np.nanmax(log) - np.nanmin(log)) > 0.0 for log in logs if len(log))
+    )
+
+
+def reach_of(worlds: Sequence[World]) -> Reach:
+    """What the runs reach, from what drives them."""
+    speed = acceleration = turn = 0.0
+    for world in worlds:
+        for side in (world.body_inputs.left, world.body_inputs.right):
+            speed = max(speed, float(np.abs(side[:, 0]).max(initial=0.0)))
+            acceleration = max(acceleration, float(np.quantile(np.abs(side[:, 1]), 0.999)) if len(side) else 0.0)
+        rate = world.body_inputs.right[:, 0] - world.body_inputs.left[:, 0]
+        turn = max(turn, float(np.abs(rate).max(initial=0.0)) / (world.run.meta.robot.track_width or 1.0))
+    return Reach(speed, acceleration, turn)
