@@ -24,6 +24,10 @@ def add_commands(commands: Any, run_help: str) -> None:
     )
     simulate.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of all noise (default 0)")
     simulate.add_argument("--no-noise", action="store_true", help="expected readings: no noise, encoders not rounded")
+    simulate.add_argument(
+        "--start", type=float, metavar="S", help="from here on only [s], set down where the robot was"
+    )
+    simulate.add_argument("--end", type=float, metavar="S", help="up to here only [s]")
     simulate.add_argument("--simulator", metavar="NAME", help="one registered in DRIFTSCOPE_SIMULATORS, or sim/ of RUN")
     simulate.add_argument("--out", required=True, type=Path, metavar="DIR", help="a run folder, made anew")
     simulate.add_argument("--data", type=Path, help="data folder of stored runs (default data)")
@@ -45,9 +49,14 @@ def _simulate(options: argparse.Namespace) -> int:
     if foreign is not None and options.no_noise:
         raise ParameterError("--no-noise is of our own simulator only", parameter="no_noise")
     run = _driven(options.source, options.data)
+    inputs = None
+    if options.start is not None or options.end is not None:
+        from app.sandbox.prepared import stretch
+
+        run, inputs = stretch(run, options.start, options.end)
     effects = {} if options.effects is None else read_effects(options.effects)
     if foreign is None:
-        made = simulate(run, effects, options.seed, noise=not options.no_noise)
+        made = simulate(run, effects, options.seed, noise=not options.no_noise, inputs=inputs)
     else:
         made = around(foreign, run, effects, options.seed)
     origin = {"effects": effects, "seed": options.seed, "simulator": options.simulator or "nominal"}

@@ -36,12 +36,15 @@ def inertial() -> None:
 
 def gap() -> None:
     """The diagnosis, on a short drive with a wider track than simulated."""
+    from app.sandbox.figure import figure
+    from app.sandbox.prepared import make_prepared
     from core.gap import diagnose
     from core.simulation import simulate
     from core.simulation.scenarios import SCENARIOS
 
-    run = SCENARIOS["figure-eight"].run()
-    diagnose([simulate(run, {"track_width": {"scale": 1.05}}, 0).crop(0.0, 30.0)])
+    run = simulate(SCENARIOS["figure-eight"].run(), {"track_width": {"scale": 1.05}}, 0).crop(0.0, 30.0)
+    diagnose([run])
+    figure(make_prepared(run, run.span, recorded=True, best=None), {})  # the sandbox's first move
 
 
 PARTS: dict[str, tuple[Callable[[], None], ...]] = {"paths": (paths,), "inertial": (inertial, gap)}

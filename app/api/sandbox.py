@@ -134,6 +134,8 @@ def _source(one: Prepared) -> dict[str, Any]:
         "end": end,
         "full": one.full,
         "recorded": one.recorded,
+        "reference": one.real[0] if one.real else None,
+        "placed": one.placed,
         "channels": one.channels,
         "beacons": [{"name": name, "x": p[0], "y": p[1], "z": p[2]} for name, p in meta.beacons.items()],
         "modelled": {effect: dict(values) for effect, values in meta.effects.items()},

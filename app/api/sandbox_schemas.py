@@ -145,6 +145,8 @@ class SandboxStretch(Wire):
     end: float
     full: tuple[float, float]
     recorded: bool
+    reference: str | None = Field(description="whose path `real` is: truth, or a method of estimation")
+    placed: bool = Field(description="set down where the robot was, for the run does not say where it starts")
     channels: list[str]
     beacons: list[dict[str, Any]]
     modelled: Values = Field(description="effects that the run's simulator already has")

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from core.effects import EFFECTS
-from core.errors import DriftscopeError, MissingStreamError
+from core.errors import DriftscopeError, MissingStreamError, ParameterError
 from core.gap.floor import Floor
 from core.gap.linear import Problem, with_floor
 from core.gap.reference import restarts_of
@@ -66,6 +66,7 @@ class Prepared:
     real: tuple[str, str, Mapping[str, Any]] | None
     yardstick: Yardstick | None
     no_gap: str | None
+    placed: bool = False
     _nominal: dict[tuple[str, int, bool], Run] = field(default_factory=dict)
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -140,14 +141,33 @@ def make_prepared(
     whole = truth is not None and truth.x is not None and truth.y is not None and truth.theta is not None
     driven = run if whole else dataclasses.replace(run, truth=_stamps_of_path(run, truth))
     restarts = restarts_of(run) if recorded else np.empty((0, 4))
-    # a stretch out of the middle has no start: it is set down where the robot was
-    inputs = prepare(driven, restarts[:1] if run.meta.start is None and len(restarts) else None)
+    placed = run.meta.start is None and len(restarts) > 0
+    inputs = prepare(driven, restarts[:1] if placed else None)
     yardstick, why = _yardstick(run, restarts) if recorded else (None, SCENARIO)
     real = best
     if whole and recorded:
         assert truth is not None
         real = ("truth", "Truth", {"t": truth.t, "x": truth.x, "y": truth.y, "theta": truth.theta})
-    return Prepared(run, recorded, full, driven, inputs, real, yardstick, why)
+    return Prepared(run, recorded, full, driven, inputs, real, yardstick, why, placed)
+
+
+def stretch(run: Run, start: float | None, end: float | None) -> tuple[Run, Inputs]:
+    """The run from `start` to `end` [s], and what drives it: out of the middle it is set down where the robot was.
+
+    Raises ParameterError for a stretch that ends before it starts, or lies outside the run.
+    """
+    t0, t1 = run.span
+    first, last = t0 if start is None else start, t1 if end is None else end
+    if not t0 <= first < last <= t1:
+        raise ParameterError(
+            f"a stretch from {first:g} to {last:g} s is not within the run's {t0:g} to {t1:g} s",
+            parameter="start" if not t0 <= first < t1 else "end",
+            expected=[t0, t1],
+            found=[first, last],
+        )
+    cut = run if (first, last) == (t0, t1) else run.crop(first, last)
+    restarts = restarts_of(cut) if cut.meta.start is None else np.empty((0, 4))
+    return cut, prepare(cut, restarts[:1] if len(restarts) else None)
 
 
 def _stamps_of_path(run: Run, truth: TruthLog | None) -> TruthLog:

@@ -17,9 +17,15 @@ from app.scene.pool import Scenes
 from app.scene.style import primary
 from app.settings import Settings
 from app.store import events, results, runs
+from core.simulation import simulate
+from core.simulation.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
     from app.scene.live import Feed
+
+
+SCENARIO = "scenario-"
+"""A drive of the scenario library has a scene too (the sandbox's): this and its name are its run id."""
 
 
 @contextlib.asynccontextmanager
@@ -44,6 +50,8 @@ async def service(app: FastAPI) -> AsyncIterator[None]:
 
 def revision(engine: Engine, run_id: str) -> str:
     """Changes whenever the run's scene would: new estimates, another name, an event dismissed. NotFoundError."""
+    if scenario_of(run_id):
+        return SCENARIO
     with reading(engine) as session:
         run = runs.get_run(session, run_id)
         estimates = results.latest_by_method(session, run_id)
@@ -53,6 +61,8 @@ def revision(engine: Engine, run_id: str) -> str:
 
 def load(engine: Engine, settings: Settings, run_id: str) -> SceneData:
     """The scene of a stored run. NotFoundError."""
+    if name := scenario_of(run_id):
+        return _scenario(run_id, name)
     current = revision(engine, run_id)  # before the data: what comes in between is seen as new next time
     with reading(engine) as session:
         name = runs.get_run(session, run_id).name
@@ -66,6 +76,32 @@ def load(engine: Engine, settings: Settings, run_id: str) -> SceneData:
     shown = _events([p for p in paths if p.method != "truth"], found)
     return SceneData(
         run_id, name, t0, t1, tuple(paths), dict(run.meta.beacons), fixes_of(run), run.meta.robot, current, shown
+    )
+
+
+def scenario_of(run_id: str) -> str | None:
+    """The scenario's name, where that is what is asked for."""
+    name = run_id.removeprefix(SCENARIO)
+    return name if name != run_id and name in SCENARIOS else None
+
+
+def _scenario(run_id: str, name: str) -> SceneData:
+    """Where the nominal simulator drives a scenario, as if that were its truth."""
+    run = simulate(SCENARIOS[name].run(), {}, 0, noise=False)
+    path = truth_path(run)
+    t0, t1 = run.span
+    paths = (path,) if path else ()
+    return SceneData(
+        run_id,
+        SCENARIOS[name].label,
+        t0,
+        t1,
+        paths,
+        dict(run.meta.beacons),
+        fixes_of(run)[:0],
+        run.meta.robot,
+        SCENARIO,
+        (),
     )
 
 

@@ -49,6 +49,7 @@ export const TERMS = {
   advice: ["R should be about", "The noise to tell the filter, over what it is told, with its 95 % interval: the median of NIS over that of chi-square, so that outliers do not count.", "median NIS / median χ²", "numbers#noise-advice"],
   events: ["Events", "What befell the robot, as this method found it. Click one to go there; confirm or dismiss it, and again to take that back.", null, "numbers#events"],
   sandbox_gap: ["Gap", "Root mean square of all residuals in units of the stated noise, the pose set anew every 2 s from the reference: the diagnosis's number. The mark is what noise alone leaves.", "√(mean over columns of rms²)", "effects#what-a-gap-is-and-its-shrinkage"],
+  sandbox_lines: ["Paths", "Real: the reference, or the best estimated path. Nominal: the simulator as it is. Patched: with these effects. Both are driven from the start in one go; in 3D too."],
   sandbox_residual: ["Residual", "What was read minus what the simulator says at the same stamp, driven from the start in one go; headings wrapped. A scenario has no readings: patched minus nominal.", "real − simulated"],
   sandbox_seed: ["Seed", "Of all simulated noise. The same seed gives the same noise, so that only the effects differ."],
   sandbox_simulator: ["Simulator", "Our own, or one that whoever runs the server has registered; effects that it lacks are put around it where that is exact.", null, "own-simulator"],

@@ -27,6 +27,7 @@ let scene = null;
 let map = null;
 let busy = false;
 let waiting = false;
+let told = null;
 
 function given(name) {
   return params.has(name) && params.get(name) !== "" ? Number(params.get(name)) : null;
@@ -83,9 +84,10 @@ function show(answer, began) {
   const paths = answer.paths.map((p) => ({ ...p, ...LINES[p.method], label: p.method === "real" ? p.label.toLowerCase() : LINES[p.method].label }));
   map.setPaths(paths, answer.source.beacons);
   streams.show(answer);
-  scene?.show(answer.paths.find((p) => p.method === "patched"));
+  scene?.show(answer.paths);
   paintGap(answer);
-  const { start, end, full } = answer.source;
+  told = answer.source;
+  const { start, end, full } = told;
   const part = end - start < full[1] - full[0] - 1e-6 ? `${number(start)} to ${number(end)} s of ${number(full[1] - full[0], 4)} s are simulated (start= and end= in the address choose others). ` : "";
   const took = performance.now() - began;
   $("#told").textContent = `${part}${Math.round(took)} ms for this move, ${number(answer.runtime_ms, 2)} ms of it simulation.`;
@@ -148,7 +150,13 @@ const json = () => JSON.stringify({ effects: panel.values }, null, 2);
 function command() {
   const source = page.source.run ?? `scenario:${page.source.scenario}`;
   const simulator = new URL(address(), location.href).searchParams.get("simulator");
-  const options = [$("#noise").checked || simulator ? "" : " --no-noise", simulator ? ` --simulator ${simulator}` : ""].join("");
+  const { start, end, full, placed } = told;
+  const options = [
+    $("#noise").checked || simulator ? "" : " --no-noise",
+    placed || start > full[0] ? ` --start ${start}` : "",
+    end < full[1] ? ` --end ${end}` : "",
+    simulator ? ` --simulator ${simulator}` : "",
+  ].join("");
   return `echo '${JSON.stringify({ effects: panel.values })}' > effects.json\ndriftscope simulate ${source} --effects effects.json --seed ${seed()}${options} --out simulated\n`;
 }
 
@@ -217,6 +225,17 @@ function startClock(source) {
   });
 }
 
+/** Which line is which, for map and 3D. */
+function tellLines({ paths }) {
+  const line = ({ method, label }) => {
+    const { color, dash } = LINES[method];
+    const mark = h("i", { class: dash.length ? "dashed" : "" });
+    mark.style.borderColor = `var(${color})`;
+    return h("span", {}, mark, method === "real" ? label.toLowerCase() : LINES[method].label);
+  };
+  $("#lines").replaceChildren(...paths.map(line));
+}
+
 /** What the run reaches: the middle of its paths, their size, its time. */
 function reachOf(answer) {
   const of = (axis) => answer.paths.flatMap((p) => p[axis]).filter((v) => v !== null);
@@ -235,7 +254,8 @@ async function start() {
     map = createMap($("#map"), { clock, subject: first.source.name, fileName: "sandbox" });
     map.setLead("patched");
     streams = createStreams($("#streams"), { clock, source: first.source, lines: LINES, onSight: () => move() });
-    if (page.source.run) scene = mountSandboxScene($("#scene"), page.source.run, clock);
+    scene = mountSandboxScene($("#scene"), page.source.run ?? `scenario-${page.source.scenario}`, first.source.reference, clock);
+    tellLines(first);
     await move();
   } catch (error) {
     $("#problem").replaceChildren(problemNote(error));

@@ -50,6 +50,13 @@ def test_a_link_restores_and_a_wrong_value_is_named(page: Page) -> None:
     expect(page.locator("#noise")).to_be_checked()
     expect(page.locator("#seed")).to_have_value("4")
     expect(page.locator('[data-chart="wheels-left"]')).to_have_attribute("data-range", "2,9")
+    expect(page.locator("#lines")).to_have_text("nominalpatched")
+    expect(page.locator("#scene")).to_have_attribute("data-overlay", "patched simulated")
+    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    page.get_by_role("button", name="Copy as command").click()
+    expect(page.get_by_role("button", name="Copied")).to_be_visible()
+    command = page.evaluate("() => navigator.clipboard.readText()")
+    assert "scenario:figure-eight --effects effects.json --seed 4 --out simulated" in command and EFFECTS in command
     field.fill("9")
     expect(page.locator("#problem")).to_contain_text("expected 0.3 to 3")
     expect(field).to_have_attribute("aria-invalid", "true")

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
+from app.cli import main
+from app.errors import NotFoundError
 from core.effects import EFFECTS
 from core.effects.chosen import effects_of
-from core.formats import write_run
+from core.formats import read_run, write_run
 from core.simulation import simulate
 from core.simulation.scenarios import SCENARIOS, Rates
 
@@ -78,6 +80,52 @@ def test_a_stretch_and_its_columns_can_be_chosen(server: TestClient, driven: str
     assert gz["t"][0] > 6.9 and gz["t"][-1] < 8.1 and gz["shown"] < gz["total"] <= 55
     real, nominal = found["paths"][0], found["paths"][1]
     assert np.hypot(real["x"][0] - nominal["x"][0], real["y"][0] - nominal["y"][0]) < 0.1
+
+
+@pytest.mark.parametrize("stretch", [{}, {"start": 5.0, "end": 15.0}])
+def test_the_command_line_makes_what_is_seen(
+    server: TestClient, driven: str, stretch: dict[str, float], tmp_path: Path
+) -> None:
+    """What the page copies as a command: effects as JSON, seed, noise and stretch give the same readings."""
+    seen = moved(server, run=driven, effects=TRUE, seed=3, noise=True, points=20_000, **stretch)
+    real = server.get(f"/api/v1/runs/{driven}/files/run-parquet.zip").content
+    (tmp_path / "real.zip").write_bytes(real)
+    file = server.get("/api/v1/exports/effects/json", params={"run": driven, "effects": json.dumps(TRUE)})
+    (tmp_path / "effects.json").write_bytes(file.content)
+    words = ["simulate", str(tmp_path / "real.zip"), "--effects", str(tmp_path / "effects.json"), "--seed", "3"]
+    words += [word for name, value in stretch.items() for word in (f"--{name}", str(value))]
+    assert main([*words, "--out", str(tmp_path / "out")]) == 0
+    made = read_run(tmp_path / "out")
+    assert seen["source"]["placed"] == bool(stretch) and seen["source"]["reference"] == "truth"
+    for column in seen["streams"]:
+        stream, name = column["column"].split(".")
+        log = getattr(made, stream)
+        assert column["shown"] == column["total"] == len(log)
+        np.testing.assert_allclose(column["patched"], getattr(log, name), atol=6e-8)
+
+
+def test_a_stretch_outside_the_run_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for words, named in (
+        (["--start", "9", "--end", "2"], "from 9 to 2 s"),
+        (["--start", "nan"], "within the run's 0 to"),
+    ):
+        out = str(tmp_path / "out")
+        assert main(["simulate", "scenario:straight", *words, "--out", out]) == 2
+        assert named in capsys.readouterr().err and not Path(out).exists()
+
+
+def test_a_scenario_has_a_scene(server: TestClient) -> None:
+    scenes = server.app.state.scenes  # type: ignore[attr-defined]  # Starlette's type of `app` has no state
+    data = scenes.data("scenario-in-place")
+    core = simulate(DRIVE.run(), {}, 0, noise=False).truth
+    assert (
+        core is not None
+        and [p.method for p in data.paths] == ["truth"]
+        and set(data.beacons) == {"B1", "B2", "B3", "B4"}
+    )
+    np.testing.assert_array_equal(data.paths[0].theta, core.theta)
+    with pytest.raises(NotFoundError):
+        scenes.data("scenario-nowhere")
 
 
 def test_a_run_without_commands_says_what_it_cannot_show(server: TestClient, run_id: str) -> None:

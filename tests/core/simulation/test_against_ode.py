@@ -15,6 +15,7 @@ import numpy.typing as npt
 import pytest
 from scipy.integrate import solve_ivp
 
+from core.effects import EFFECTS
 from core.robot import EffectSet
 from core.run import Run
 from core.simulation import simulate
@@ -184,6 +185,11 @@ CASES: dict[str, EffectSet] = {
     "slip_patch": {"slip_patch": {"x": 4.6, "y": 3.9, "radius": 0.5, "slip": 0.4}},
     "bump": {"bump": {"time": 17.234, "distance": 0.05, "turn": -0.2}},
 }
+
+
+def test_no_effect_of_the_plant_is_left_out() -> None:
+    plant = {e.id for e in EFFECTS.values() if e.family in ("drive", "kinematics", "ground")}
+    assert plant - {"floor_tilt"} == {effect for case in CASES.values() for effect in case}  # tilt moves nothing
 
 
 @pytest.mark.parametrize("case", CASES)
