@@ -11,7 +11,6 @@ from pydantic import ConfigDict, Field
 from app.api import schemas
 from app.api.deps import JobsDep, ReadSession, RunId
 from app.api.schemas import Wire, example
-from app.errors import NotFoundError
 from app.store import odometry as store
 from app.store import runs as run_store
 from core.errors import MissingStreamError
@@ -20,7 +19,6 @@ router = APIRouter(tags=["odometry"])
 
 VALUE = {"value": 0.0748, "sd": 0.0001, "unit": "m"}
 SHOWN = {
-    "run_id": "9f2c1ab84e5d7703",
     "run_ids": ["9f2c1ab84e5d7703"],
     "created_at": "2026-03-01T09:30:04Z",
     "runtime_s": 1.3,
@@ -58,7 +56,6 @@ class OdometryCalibration(Wire):
     run.json with what was found, the radius being the mean of both wheels."""
 
     model_config = example(SHOWN)
-    run_id: str
     run_ids: list[str]
     created_at: datetime
     runtime_s: float
@@ -70,6 +67,14 @@ class OdometryCalibration(Wire):
     noise: dict[str, float]
     notes: list[str]
     robot: dict[str, Any]
+
+
+class RunOdometry(Wire):
+    """What is known of a run's odometry."""
+
+    model_config = example({"run_id": "9f2c1ab84e5d7703", "calibration": SHOWN})
+    run_id: str
+    calibration: OdometryCalibration | None
 
 
 @router.post("/runs/{run_id}/odometry", status_code=202, summary="Calibrate the odometry")
@@ -92,16 +97,13 @@ def create_odometry_calibration(
 
 
 @router.get("/runs/{run_id}/odometry", summary="The odometry calibration of a run")
-def get_odometry_calibration(session: ReadSession, run_id: RunId) -> OdometryCalibration:
-    """The latest one; 404 where none was made."""
+def get_odometry_calibration(session: ReadSession, run_id: RunId) -> RunOdometry:
+    """The latest one; null where none was made."""
     run_store.get_run(session, run_id)
     row = store.find(session, run_id)
     if row is None:
-        raise NotFoundError(
-            f"run {run_id!r} has no odometry calibration yet: POST to this address makes one",
-            what="odometry",
-            id=run_id,
-        )
-    kept = ("run_id", "run_ids", "created_at", "runtime_s", "code_version", "robot")
+        return RunOdometry(run_id=run_id, calibration=None)
+    kept = ("run_ids", "created_at", "runtime_s", "code_version", "robot")
     told = {k: v for k, v in row.result.items() if k in OdometryCalibration.model_fields}
-    return OdometryCalibration(**{name: getattr(row, name) for name in kept}, **told)
+    made = OdometryCalibration(**{name: getattr(row, name) for name in kept}, **told)
+    return RunOdometry(run_id=run_id, calibration=made)

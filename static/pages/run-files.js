@@ -6,6 +6,7 @@ import { h } from "../lib/dom.js";
 import { bytes, count, hertz, seconds, show, when } from "../lib/format.js";
 import { methodStyle } from "../lib/methods.js";
 import { methodSwatch } from "./run-methods.js";
+import { odometryCard } from "./run-odometry.js";
 
 const PATH_FORMATS = [
   ["csv", "CSV", "t, x, y, theta and deviations: m, rad"],
@@ -15,7 +16,7 @@ const PATH_FORMATS = [
 
 export function mountFiles(host, context) {
   const { run, data, estimates } = context;
-  const box = h("div", { class: "cards" }, source(run), downloads(run, data), streams(run), h("section", { class: "card wide" }, h("h2", {}, "Estimates"), estimates().length ? estimates().map((e) => estimateCard(run, e)) : h("p", { class: "dim" }, "None yet.")), description(run));
+  const box = h("div", { class: "cards" }, source(run), downloads(run, data), streams(run), h("section", { class: "card wide" }, h("h2", {}, "Estimates"), estimates().length ? estimates().map((e) => estimateCard(run, e)) : h("p", { class: "dim" }, "None yet.")), odometryCard(context), description(run));
   host.append(box);
   return { setEvents() {}, destroy: () => box.remove() };
 }

@@ -300,6 +300,15 @@ def test_delete_can_be_undone(page: Page, lawn: dict[str, Any], server: Any) -> 
     assert server.client.get(f"/api/v1/runs/{lawn['id']}").status_code == 200
 
 
+def test_the_odometry_is_calibrated_from_the_files_tab(page: Page, square: dict[str, Any]) -> None:
+    open_run(page, square, "tab=files")
+    page.click("#calibrate-odometry")
+    row = page.locator("#odometry-found [data-parameter=track_width]")
+    expect(row).to_contain_text("0.201")
+    expect(row).to_contain_text("±")
+    expect(page.locator("#odometry-found [data-parameter=gyro_scale]")).to_contain_text("no run has an imu")
+
+
 def test_estimating_again_reports_progress_and_refreshes_the_page(page: Page, square: dict[str, Any]) -> None:
     open_run(page, square)
     ready(page, ERROR)

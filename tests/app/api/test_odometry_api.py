@@ -32,12 +32,12 @@ def test_a_run_is_calibrated_on_request(server: TestClient) -> None:
     run = simulate(SCENARIOS["figure-eight"].run(rates), wide, seed=3)
     run_id = sent(server, run, "eight.zip")
     path = f"/api/v1/runs/{run_id}/odometry"
-    assert server.get(path).status_code == 404
+    assert server.get(path).json() == {"run_id": run_id, "calibration": None}
     job = server.post(path, json={"reference": "beacon"})
     assert job.status_code == 202, job.text
     with server.stream("GET", f"/api/v1/jobs/{job.json()['id']}/events") as events:
         assert any('"state":"done"' in line.replace(" ", "") for line in events.iter_lines())
-    found = server.get(path).json()
+    found = server.get(path).json()["calibration"]
     track = found["parameters"]["track_width"]
     assert track["value"] == pytest.approx(0.32 * 1.03, abs=5 * track["sd"]) and track["sd"] < 0.003
     assert found["robot"]["track_width"] == track["value"] and found["robot"]["ticks_per_rev"] == 2048
