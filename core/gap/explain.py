@@ -71,7 +71,7 @@ def explain(problem: Problem, tried: Sequence[Candidate], progress: Progress = s
     drive = [c for c in tried if EFFECTS[c.effect].family == "drive"]
     ticks = [c for c in tried if c.effect == "missed_ticks"]
     rest = [c for c in tried if c not in drive and c not in ticks]
-    wheels = search(problem, drive, "wheels")
+    wheels = search(problem, drive, "wheels", aside=ticks)
     progress(0.3, "searching the body")
     body = search(_driven(wheels, {}), rest, "body")
     lost = _missed(problem, wheels, drive, ticks)
@@ -130,7 +130,8 @@ def _missed(problem: Problem, wheels: Found, drive: Sequence[Candidate], ticks: 
     normal = linearise(wheels.problem, fit.model, ticks, "wheels")
     if gains_of(normal, len(fit.parameters), ticks)[0] < WORTH:
         return None
-    found = search(problem, [*(c for c in drive if c.effect != "drive_gain"), *ticks], "wheels")
+    gain = [c for c in drive if c.effect == "drive_gain"]
+    found = search(problem, [*(c for c in drive if c.effect != "drive_gain"), *ticks], "wheels", aside=gain)
     lost = found.fit.model.get("missed_ticks", {"left": 0.0, "right": 0.0})
     small = EFFECTS["missed_ticks"].parameter("left").small or 0.0
     return found if max(abs(float(v)) for v in lost.values()) > small else None

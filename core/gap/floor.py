@@ -90,9 +90,22 @@ def third_differences(world: World, name: str, residual: Array) -> Array:
     return far[same]
 
 
+def rounding_of(readings: Array) -> float:
+    """The step that readings are rounded to; 0 where they lie on no grid."""
+    levels = np.unique(readings[:5000])
+    if len(levels) < 3 or len(levels) > 0.5 * min(len(readings), 5000):
+        return 0.0
+    step = float(np.diff(levels).min())
+    off = (levels - levels[0]) / max(step, 1e-15)
+    return step if float(np.abs(off - np.round(off)).max()) < 0.05 else 0.0
+
+
 def measure(worlds: list[World], residuals: Sequence[Mapping[str, Array]], speeds: Sequence[Array | None]) -> Floor:
     """The floor that all runs share. residuals: per run and channel; speeds: forward speed at the IMU's stamps."""
     sheet = stated(worlds[0].run)
+    for name in [n for n in sheet if n.startswith("imu")]:  # rounding comes on top of what is stated
+        steps = [rounding_of(w.readings[name]) for w in worlds if name in w.readings]
+        sheet[name] = float(np.hypot(sheet[name], min(steps, default=0.0) / np.sqrt(12.0)))
     sigma: dict[str, float] = {}
     sd: dict[str, float] = {}
     names = [name for name in (*WHEELS, "imu.gz", "imu.ax", "imu.ay", *POSES) if any(name in r for r in residuals)]

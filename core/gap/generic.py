@@ -151,6 +151,8 @@ def fix_shapes(world: World, name: str, pose: Array, t: Array) -> dict[Shape, Ar
     share = t / max(float(t[-1]), 1.0)
     table = [("x", "x", x), ("y", "y", y), ("t", "t", share), ("x", "x²", x**2), ("y", "y²", y**2), ("x", "x·y", x * y)]
     table += [("theta", "sin θ", np.sin(theta)), ("theta", "cos θ", np.cos(theta))]
+    table += [("theta", "sin 2θ", np.sin(2.0 * theta)), ("theta", "cos² θ", np.cos(theta) ** 2)]
+    table.append(("theta", "sin² θ", np.sin(theta) ** 2))
     if name == "beacon.theta":
         table.append(("theta", "constant", np.ones_like(x)))
     if name == "ranges.range" and world.run.ranges is not None:
@@ -169,7 +171,7 @@ Sizes = dict[str, list[float]]
 """Sum of squares and number of a shape's own values, by its key: in the units of `TRIFLE`."""
 TRIFLE = {
     "wheels.left": 6e-4, "wheels.right": 6e-4, "imu.gz": 4e-4, "imu.ax": 5e-3, "imu.ay": 5e-3, "body.w": 8e-4,
-    "body.v": 6e-4, "body.vy": 6e-4, "beacon.x": 6e-3, "beacon.y": 6e-3, "beacon.theta": 2e-3, "ranges.range": 5e-3,
+    "body.v": 6e-4, "body.vy": 6e-4, "beacon.x": 4e-3, "beacon.y": 4e-3, "beacon.theta": 1.5e-3, "ranges.range": 4e-3,
 }  # fmt: skip
 """Root mean square below which a shape is immaterial, as the effects on its channel are below their tolerances: rim
 speed [m/s], rad/s, m/s², rad/s, m/s, m/s, m, m, rad, m."""

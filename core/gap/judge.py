@@ -24,7 +24,8 @@ SURE = 0.985
 LEAST = {
     "command_delay.delay": 4e-4, "motor_lag.tau": 4e-4, "imu_clock.offset": 5e-5, "beacon_delay.delay": 5e-4,
     "deadband.width": 1e-4, "slip_patch.x": 1e-3, "slip_patch.y": 1e-3, "slip_patch.radius": 1e-3,
-    "slip_patch.slip": 1e-4, "bump.time": 1e-3,
+    "slip_patch.slip": 1e-4, "bump.time": 1e-3, "accel_limit.a_max": 3e-3, "speed_limit.v_max": 1e-3,
+    "gyro_clip.limit": 1e-3,
 }  # fmt: skip
 """Added in squares to these deviations: instants agree to half a control step, edges to a sample's way."""
 
@@ -39,7 +40,7 @@ def deviations(fit: Fit) -> dict[tuple[str, str], float]:
     scores = fit.normal.g.sum(axis=0) if fit.scores is None else fit.scores
     scores = scores - scores.mean(axis=0)
     sandwich = inverse @ (scores.T @ scores) @ inverse
-    model, blocks = np.sqrt(np.diag(inverse)), np.sqrt(np.maximum(np.diag(sandwich), 0.0))
+    model, blocks = np.sqrt(np.maximum(np.diag(inverse), 0.0)), np.sqrt(np.maximum(np.diag(sandwich), 0.0))
     few = len(scores) < 12
     out = {}
     for i, key in enumerate(fit.parameters):

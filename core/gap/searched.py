@@ -21,6 +21,10 @@ PATH = ("kinematics", "ground", "beacons")
 """Families whose effects bend a path that was smoothed without them."""
 
 
+AGAIN, BETTER = 3, 100.0
+"""Without truth the path is set right at most so often, while that lowers the cost by this much."""
+
+
 @dataclass(frozen=True)
 class Searched:
     """What was found, on which worlds, among which candidates."""
@@ -39,10 +43,15 @@ def searched(runs: Sequence[Run], known: EffectSet, window: float, progress: Pro
     tried = candidates(worlds[0].channels, list(runs[0].meta.beacons), reach, known, _warm(runs))
     progress(0.1, "searching")
     found = explain(problem, tried, progress)
-    if any(run.truth is None for run in runs) and any(EFFECTS[name].family in PATH for name in found.model):
+    for _ in range(AGAIN if any(run.truth is None for run in runs) else 0):
+        if not any(EFFECTS[name].family in PATH for name in found.model):
+            break
         progress(0.6, "again from the path set right")
+        before = found.body.fit.cost
         worlds = tuple(make_world(run, restarts_of(run, window, found.model)) for run in runs)
         found = explain(with_floor(Problem(worlds, Floor({}, {}, {}), known), {}), tried)
+        if found.body.fit.cost > before - BETTER:
+            break
     return Searched(found, worlds, tuple(tried), reach)
 
 

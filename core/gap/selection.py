@@ -19,6 +19,7 @@ from core.gap.places import placed, polish
 from core.gap.scatter import gyro_left, gyro_walk
 from core.gap.unknown import blocked_by, rest_of
 from core.gap.visible import Sight
+from core.gap.world import WHEELS
 from core.robot import EffectSet
 
 Array = npt.NDArray[np.float64]
@@ -33,6 +34,8 @@ WORTH = 24.0
 """Drop of the cost that an effect must bring: noise on fifty candidates stays below (see tests/bench/bench_gap.py)."""
 WHEELS_WORTH = 120.0
 """The same of encoders: rounding at slow speed is no white noise."""
+PRICE = 8.0
+"""What a further parameter must bring (about the logarithm of the readings that say something of it)."""
 SECANT = (0.25, 4.0)
 """Weights that a secant may have: its shape holds near its start only."""
 POLISHED = 0.05
@@ -122,7 +125,7 @@ class Screen:
         named = sorted(set(self.effects[: self.own]))
         base = self.drop(own, named)
         out = np.zeros(len(tried))
-        for k, (one, mine) in enumerate(zip(tried, self.places, strict=True)):
+        for k, (one, mine) in enumerate(zip(tried, self.places, strict=False)):
             if one.secant:
                 at = mine[0]
                 weight = float(np.clip(self._weight(at, named), *SECANT))
@@ -169,8 +172,17 @@ class Screen:
         return best
 
 
-def search(problem: Problem, tried: Sequence[Candidate], scope: str, start: EffectSet | None = None) -> Found:
-    """Add the effect that explains most, refit exactly, swap and drop; until nothing is worth it."""
+def search(
+    problem: Problem,
+    tried: Sequence[Candidate],
+    scope: str,
+    start: EffectSet | None = None,
+    aside: Sequence[Candidate] = (),
+) -> Found:
+    """Add the effect that explains most, refit exactly, drop what is not needed; until nothing is worth it.
+
+    aside: effects that are no candidates here, but may act within their tolerance.
+    """
     fit = refit(problem, start or {}, scope)
     worth = WHEELS_WORTH if scope == "wheels" else WORTH
     steps: list[Step] = []
@@ -182,17 +194,18 @@ def search(problem: Problem, tried: Sequence[Candidate], scope: str, start: Effe
         fresh = [one for one in tried if one.effect not in fit.model]
         if unknown is not None:
             fresh = [one for one in fresh if not blocked_by(unknown[0]) & set(EFFECTS[one.effect].streams)]
-        problem, fit, screen = screened(problem, fit, fresh, scope)
+        problem, fit, screen = screened(problem, fit, [*fresh, *aside], scope)
         sight = Sight(screen.a, screen.own, tuple(fresh))
         sight = Sight(screen.a, screen.own, tuple(fresh))
         tolerated = tolerated or _tolerated(screen.normal, fresh)
         gain = screen.gains(fresh)
+        left = _excess(fit)
         paired = screen.pair(fresh, gain, PAIRED)
         if unknown is None and scope != "wheels":
             local, brings = _put(problem, fit, scope)
             fresh, gain = [*fresh, *local], np.concatenate((gain, brings))
         gains = _best_of(fresh, gain)
-        chosen = [one for one in _starts(fresh, gain) if _enough(one.effect, gains[one.effect], worth, tolerated)]
+        chosen = [one for one in _starts(fresh, gain) if _enough(one.effect, gains[one.effect], worth, tolerated, left)]
         fits = [
             (one.effect, refit(problem, {**fit.model, one.effect: dict(one.start)}, scope, BRIEF)) for one in chosen
         ]
@@ -201,16 +214,17 @@ def search(problem: Problem, tried: Sequence[Candidate], scope: str, start: Effe
             if both is None:
                 break
             fits = [both]
-        name, best = min(fits, key=lambda item: item[1].cost)
+        name, best = min(fits, key=lambda item: _priced(item[1]))
         if fit.cost - best.cost < worth:
             break
+        weighed = tuple((n, _priced(fit) + PRICE - _priced(one)) for both, one in fits for n in both.split("+"))
         if unknown is None:
             unknown = _stranger(problem, fit, best, paired[0])
             if unknown is not None:
                 fit, unknown = _stood_in(problem, fit, unknown, scope)
-                steps.append(Step(f"unknown {unknown[0].key}", tuple((e, fit.cost - f.cost) for e, f in fits)))
+                steps.append(Step(f"unknown {unknown[0].key}", weighed))
                 continue
-        steps.append(Step(f"add {name}", tuple((e, fit.cost - f.cost) for e, f in fits)))
+        steps += [Step(f"add {one}", weighed) for one in name.split("+")]
         best, dropped = _drop(problem, best, scope, worth)
         steps += [Step(f"drop {one}") for one in dropped]
         if name == "slip_patch":
@@ -220,7 +234,8 @@ def search(problem: Problem, tried: Sequence[Candidate], scope: str, start: Effe
     if "slip_patch" in fit.model and _loss(fit, "slip_patch") > POLISHED * fit.normal.n.sum():
         fit = _polished(problem, fit, scope, (0.04, 0.02, 0.01, 0.005, 0.002))
     if not problem.nuisances.keys:
-        problem, fit, _ = screened(problem, fit, [one for one in tried if one.effect not in fit.model], scope)
+        rest = [one for one in tried if one.effect not in fit.model]
+        problem, fit, _ = screened(problem, fit, [*rest, *aside], scope)
     fit = fit_at(problem, fit.model, scope, scores=True)
     return Found(fit, problem, tuple(steps), gains, _earned(problem, fit, scope), unknown, tolerated, sight)
 
@@ -254,14 +269,32 @@ def _put(problem: Problem, fit: Fit, scope: str) -> tuple[list[Candidate], Array
 LIMITS = ("speed_limit", "accel_limit", "gyro_clip")
 
 
-def _enough(effect: str, gain: float, worth: float, tolerated: Mapping[str, float]) -> bool:
-    """Whether an effect's promise is worth a fit; a limit must bring what tolerated flaws of its channels would."""
+def _excess(fit: Fit) -> dict[str, float]:
+    """What a fit leaves of each channel above its noise."""
+    n, c = fit.normal.n.sum(axis=1), fit.normal.c.sum(axis=1)
+    over = np.maximum(c - n - 4.0 * np.sqrt(2.0 * n), 0.0)
+    return dict(zip(fit.normal.channels, over.tolist(), strict=True))
+
+
+def _enough(effect: str, gain: float, worth: float, tolerated: Mapping[str, float], left: Mapping[str, float]) -> bool:
+    """Whether an effect's promise is worth a fit.
+
+    It must take a good part of what is left of the channels that it moves: where little is taken, something else is at
+    work there. A limit must bring what tolerated flaws of its channels would.
+    """
+    moved = [name for name in EFFECTS[effect].streams if name in left]
+    part = TAKES["wheels" if moved and moved[0] in WHEELS else "body"]
+    worth = max(worth, part * max((left[name] for name in moved), default=0.0))
     if effect in LIMITS:
         worth = max(worth, CRUMB * max((tolerated.get(name, 0.0) for name in EFFECTS[effect].streams), default=0.0))
     return gain >= worth
 
 
-CRUMB = 0.25
+CRUMB, TAKES = 0.25, {"wheels": 0.4, "body": 0.15}
+
+
+def _priced(fit: Fit) -> float:
+    return fit.cost + PRICE * len(fit.parameters)
 
 
 def _masked(

@@ -85,7 +85,7 @@ def rest_of(problem: Problem, fit: Fit) -> Rest:
     limit = np.array([TRIFLE.get(shape.channel, 0.0) for shape in shapes])
     order = np.argsort(-gain)[:12]
     exact = [
-        gain[i] if k >= REFITTED else gain[i] * min(_exact(white, generic, int(i), m) / max(alone[i], 1e-9), 1.5)
+        gain[i] if k >= REFITTED else gain[i] * min(_exact(white, generic, int(i), m) / max(alone[i], 1e-9), 50.0)
         for k, i in enumerate(order)
     ]
     ranked = sorted(zip(order.tolist(), exact, strict=True), key=lambda pair: -pair[1])
@@ -107,7 +107,7 @@ def _taken(score: Array, info: Array, cross: Array, inside: Array, pull: Array) 
     return np.where(fine, score * weight, 0.0), weight, left
 
 
-REFITTED, ROUNDS = 3, 3
+REFITTED, ROUNDS = 3, 6
 """So many of the best shapes are fitted to Huber's loss itself, by so many rounds of reweighted least squares."""
 
 
