@@ -22,9 +22,12 @@ export function mountRun(run, { params, changed, fileName }) {
   const map = run.path && gapMap(run, clock, fileName);
   const chart = run.timeline?.t.length > 1 && timeline(run, clock, fileName);
   const overlay = run.free_run?.paths.length && overlayMap(run, clock, fileName, given("share"), moved);
-  const scene = run.stored && (run.path || run.free_run) ? mountGapScene($("#scene"), run.id, clock) : null;
+  const alone = params.get("view");
+  const scene = run.stored && alone !== "map" && (run.path || run.free_run) ? mountGapScene($("#scene"), run.id, clock) : null;
+  $("#scene").hidden = !scene;
+  $("#map-gap").hidden = !map || (alone === "scene" && Boolean(scene));
+  $("#map-scale").hidden = !map;
   $("#views").hidden = !map && !scene;
-  $("#map-gap").hidden = $("#map-scale").hidden = !map;
   $("#strip").hidden = !map && !chart;
   $("#timeline").hidden = !chart;
   $("#overlay").hidden = !overlay;
@@ -44,6 +47,7 @@ export function mountRun(run, { params, changed, fileName }) {
       clock.setTime(t0);
     },
     address: () => ({
+      ...(alone ? { view: alone } : {}),
       ...(clock.isFullRange ? {} : { t0: clock.range[0].toFixed(2), t1: clock.range[1].toFixed(2) }),
       ...(clock.time > clock.full[0] ? { t: clock.time.toFixed(2) } : {}),
       ...(overlay && overlay.share() < 1 ? { share: overlay.share().toFixed(2) } : {}),

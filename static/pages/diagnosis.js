@@ -25,6 +25,14 @@ function choose(index) {
   remember();
 }
 
+// Map alone, 3D alone; again: both.
+function view(one) {
+  if (!run) return;
+  if (params.get("view") === one) params.delete("view");
+  else params.set("view", one);
+  choose(at);
+}
+
 function startRuns() {
   if (!runs.length) return;
   $("#run-choice").hidden = runs.length < 2;
@@ -118,6 +126,8 @@ keys("Diagnosis", {
   ".": ["a step on", () => run?.clock.step(1)],
   "[": ["slower, faster", () => run?.clock.slower(), "[ ]"],
   "]": [null, () => run?.clock.faster()],
+  m: ["map alone, 3D alone", () => view("map"), "m v"],
+  v: [null, () => view("scene")],
   f: ["3D camera follows", () => run?.clock.setFollow(!run.clock.follow)],
   j: ["next, previous run", () => runs.length > 1 && choose((at + 1) % runs.length), "j k"],
   k: [null, () => runs.length > 1 && choose((at + runs.length - 1) % runs.length)],
