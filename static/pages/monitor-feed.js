@@ -4,30 +4,30 @@
 //   feed.send({ type: "drive", v, w }) -> whether it could be sent
 
 const RETRY = [250, 500, 1000, 2000, 4000]; // ms
-const QUIET_MS = 6000; // an open socket that says nothing at all for so long is dead
+const QUIET = 6; // s that an open socket may say nothing at all; then it is dead
 
 export function openFeed(robot, { message, state }) {
   const scheme = location.protocol === "https:" ? "wss:" : "ws:";
   const address = `${scheme}//${location.host}/api/v1/live/${encodeURIComponent(robot)}/watch`;
   let socket = null;
   let attempts = 0;
-  let heard = 0;
-  let quietAfter = Infinity; // only a robot that is live is expected to speak
+  let quiet = 0; // seconds, counted only while this page itself gets its turn
+  let live = false; // only a robot that is live is expected to speak
   let closed = false;
 
   function connect() {
     if (closed) return;
     const mine = (socket = new WebSocket(address));
-    heard = performance.now();
+    quiet = 0;
     mine.addEventListener("open", () => {
       attempts = 0;
       state("open");
     });
     mine.addEventListener("message", (event) => {
-      heard = performance.now();
+      quiet = 0;
       const told = JSON.parse(event.data);
-      if (told.state) quietAfter = told.state === "live" ? QUIET_MS : Infinity;
-      if (told.type === "gone") quietAfter = Infinity;
+      if (told.state) live = told.state === "live";
+      if (told.type === "gone") live = false;
       message(told);
     });
     mine.addEventListener("close", () => {
@@ -40,7 +40,7 @@ export function openFeed(robot, { message, state }) {
   }
 
   setInterval(() => {
-    if (socket?.readyState === WebSocket.OPEN && performance.now() - heard > quietAfter) socket.close();
+    if (socket?.readyState === WebSocket.OPEN && live && ++quiet > QUIET) socket.close();
   }, 1000);
   addEventListener("pagehide", () => {
     closed = true;
