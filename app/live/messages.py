@@ -199,7 +199,7 @@ def _stamps(t: Array, stream: str) -> None:
     back = np.diff(t) <= 0
     if back.any():
         row = int(np.argmax(back)) + 1
-        expected, found = f"a stamp after {t[row - 1]!r}", f"{t[row]!r}"
+        expected, found = f"a stamp after {float(t[row - 1])!r}", f"{float(t[row])!r}"
         _refuse("streams", expected, found, stream=stream, column="t", row=row + 1)
 
 

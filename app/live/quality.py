@@ -20,7 +20,7 @@ class Gauge:
         self.last_heard = 0.0
         self._batches: deque[tuple[float, int, int, dict[str, int]]] = deque()  # when, again, dropped, rows
         self._sent: dict[int, float] = {}  # batches under way to an estimate
-        self._delays: deque[float] = deque(maxlen=DELAYS)
+        self._delays: deque[tuple[float, float]] = deque(maxlen=DELAYS)  # when, how long
         self._offsets: deque[tuple[float, float]] = deque(maxlen=TRIPS)  # half of the round trip, offset
         self._least = float("inf")  # delay: without round trips all that is known of the offset
 
@@ -49,7 +49,7 @@ class Gauge:
     def estimated(self, now: float, n: int) -> None:
         """The estimate up to batch n is there."""
         for done in [k for k in self._sent if k <= n]:
-            self._delays.append(now - self._sent.pop(done))
+            self._delays.append((now, now - self._sent.pop(done)))
 
     @property
     def backlog(self) -> int:
@@ -73,7 +73,9 @@ class Gauge:
                 rows[name] = rows.get(name, 0) + count
         trip = min(self._offsets, default=None)
         offset = trip[1] if trip is not None else None
-        delays = sorted(self._delays)
+        while self._delays and self._delays[0][0] < now - WINDOW:
+            self._delays.popleft()
+        delays = sorted(delay for _, delay in self._delays)
         # by a one-way stamp alone, the quickest batch is taken to have come in no time
         shift = offset if offset is not None else -self._least
         total = sum(rows.values()) + dropped

@@ -101,7 +101,7 @@ class Fused:
         if start is None:
             return False
         self._relative = self.meta.start is None and not absolute
-        self._begin(run, start.without_used(events), start, rest)
+        self._begin(run, events, start, rest)
         return True
 
     def _found(self, run: Run, events: Events, rest: Rest | None) -> Start | None:
@@ -116,7 +116,8 @@ class Fused:
         self.start, self.reason = start, None
         self.replay = Replay(problem(run, events, start, self.numbers, rest), HORIZON)
         self._kinds = frozenset(events.kind.tolist())
-        self._take(events)
+        self._note(events)
+        self._take(start.without_used(events))
 
     def _go_on(self, recent: Run, rhythm: Rhythm) -> None:
         events, rest = self._events(recent, rhythm)
@@ -137,11 +138,15 @@ class Fused:
 
     def _take(self, events: Events) -> None:
         assert self.replay is not None
+        self._note(events)
+        self.replay.take(events.t, events.kind, events.data, events.flags)
+
+    def _note(self, events: Events) -> None:
+        """Newest stamps of what has been used, the start's fixes too."""
         for kind in KINDS:
             stamps = events.t[events.kind == kind]
             if len(stamps):
                 self._seen[kind] = float(stamps[-1])
-        self.replay.take(events.t, events.kind, events.data, events.flags)
 
     def _new_rows(self) -> Trajectory | None:
         if self.replay is None:

@@ -88,6 +88,11 @@ class _Link:
         return LinkState(self.name, STREAMS[self.name], excess, level, warn, n)
 
 
+def _integral(t: Array, y: Array) -> Array:
+    """(N,) from the first stamp on, by trapezoids."""
+    return np.concatenate(([0.0], np.cumsum(0.5 * (y[1:] + y[:-1]) * np.diff(t))))
+
+
 def _level(n: int) -> float:
     from scipy.special import chdtri
 
@@ -130,7 +135,8 @@ class Links:
             self._at = max(self._at, float(rolled.t[0]))
             while until - self._at >= STRETCH:
                 i, j = np.searchsorted(rolled.t, (self._at, self._at + STRETCH))
-                if j - i < 2 or j + (j - i) // 5 >= len(rolled.t):  # speeds are told from readings on both sides
+                last = int(j + (j - i) // 5)  # speeds are told from readings on both sides
+                if j - i < 2 or last >= len(rolled.t) or rolled.t[last] > until:
                     break
                 self._stretch(recent, rolled, int(i), int(j))
                 self._at = float(rolled.t[j])
@@ -171,7 +177,7 @@ class Links:
         if not driving or not robot.track_width or not robot.wheel_radius or self._bias is None or imu.t[0] > a:
             return
         t, gz = gyro_readings(imu)
-        total = np.concatenate(([0.0], np.cumsum(0.5 * (gz[1:] + gz[:-1]) * np.diff(t))))
+        total = _integral(t, gz)
         bias, sd = self._bias
         turned = float(np.interp(b, t, total) - np.interp(a, t, total)) - bias * (b - a)
         quantum = q * robot.wheel_radius / robot.track_width
@@ -185,22 +191,30 @@ class Links:
         forward = forward_acceleration(imu, self._meta.robot.imu)
         if forward is None or imu.t[0] > a:
             return
-        total = np.concatenate(([0.0], np.cumsum(0.5 * (forward[1:] + forward[:-1]) * np.diff(imu.t))))
-        gained = float(np.interp(b, imu.t, total) - np.interp(a, imu.t, total))
+        k = max(1, (j - i) // 5)
         if not driving:
-            mean = gained / (b - a)
+            inside = (imu.t >= a) & (imu.t <= b)
+            mean = float(np.mean(forward[inside])) if inside.any() else 0.0
             self._offset = mean if self._offset is None else self._offset + LEARN * (mean - self._offset)
             return
-        k = max(1, (j - i) // 5)
-        if self._offset is None or i < k or j + k >= len(rolled.t):
+        if self._offset is None or i < k or imu.t[0] > rolled.t[i - k]:
             return
-        speed = [(rolled.d[m + k] - rolled.d[m - k]) / (rolled.t[m + k] - rolled.t[m - k]) for m in (i, j)]
+        # both say the mean speed over the same short windows: what changes inside them is no difference
+        windows = [(rolled.t[m - k], rolled.t[m + k], rolled.d[m + k] - rolled.d[m - k]) for m in (i, j)]
+        way = _integral(imu.t, _integral(imu.t, forward - self._offset))
+        by_wheels, by_imu = (
+            [change / (t1 - t0) for t0, t1, change in rows]
+            for rows in (
+                windows,
+                [(t0, t1, np.interp(t1, imu.t, way) - np.interp(t0, imu.t, way)) for t0, t1, _ in windows],
+            )
+        )
         width = float(rolled.t[j + k] - rolled.t[j - k])
-        by_wheels = (q * radius / width) ** 2 / 6  # two speeds, each of two readings of two wheels
+        of_wheels = (q * radius / width) ** 2 / 6  # two speeds, each of two readings of two wheels
         sheet = self._meta.noise.accel_density or self._numbers.accel_density
-        change = abs(speed[1] - speed[0])
-        variance = sheet**2 / 2 * (b - a) + by_wheels + (width / (b - a) * change / 4) ** 2
-        self._links[ACCELEROMETER].add(b, (gained - self._offset * (b - a) - speed[1] + speed[0]) / np.sqrt(variance))
+        variance = sheet**2 / 2 * (b - a) + of_wheels
+        residual = by_imu[1] - by_imu[0] - by_wheels[1] + by_wheels[0]
+        self._links[ACCELEROMETER].add(b, float(residual / np.sqrt(variance)))
 
     def _tag(self, rolled: WheelPath, a: float, b: float) -> tuple[Array, Array] | None:
         """The tag in the map at both stamps: where the filter says it was at `a`, and on by the wheels."""

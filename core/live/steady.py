@@ -6,7 +6,9 @@ blocks before it; those are cut again and thrown away.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+from collections.abc import Iterator
 
 import numpy as np
 import numpy.typing as npt
@@ -50,15 +52,16 @@ class SteadyBias:
         window = imu if back == 0 else _from(imu, self._origin + back * self._cells / RATE)
         if len(window) < 2 * BACK:
             return None
-        try:
-            blocks = cut(dataclasses.replace(recent, imu=window), window, self._config.block)
-        except NotEnoughDataError:
-            return None
-        if self._state is None:
-            self._begin(blocks, window)
-        elif blocks.cells != self._cells:
-            return None
-        return self._run(blocks, window, self._done - back)
+        with _one_thread():
+            try:
+                blocks = cut(dataclasses.replace(recent, imu=window), window, self._config.block)
+            except NotEnoughDataError:
+                return None
+            if self._state is None:
+                self._begin(blocks, window)
+            elif blocks.cells != self._cells:
+                return None
+            return self._run(blocks, window, self._done - back)
 
     def _begin(self, blocks: Blocks, imu: ImuLog) -> None:
         self._cells = blocks.cells
@@ -98,6 +101,19 @@ class SteadyBias:
             if self._warmth is not None:
                 out[k] = self._warmth[1] - self._warmth[0]
         return out
+
+
+@contextlib.contextmanager
+def _one_thread() -> Iterator[None]:
+    """A few blocks are not worth waking other threads for."""
+    import numba
+
+    before = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)
 
 
 def _finite(imu: ImuLog | None) -> ImuLog | None:
