@@ -199,7 +199,8 @@ function startBar() {
 function startClock(source) {
   clock = createTimeCursor({ t0: source.start, t1: source.end });
   if (given("t0") !== null) clock.setRange(given("t0"), given("t1") ?? source.end);
-  if (given("t") !== null) clock.setTime(given("t"));
+  const t = given("t") ?? given("t0");
+  if (t !== null) clock.setTime(t);
   const refine = debounce(60, () => move());
   const paint = () => {
     $("#time").value = String((1000 * (clock.time - source.start)) / (source.end - source.start));
