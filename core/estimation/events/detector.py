@@ -32,6 +32,7 @@ MEMORY = 20.0  # s over which noise is learnt
 FIRST_BLOWS = (0.12**2, 1.5**2, 0.15**2, 2.5**2)  # noise of blow, az, rates, plane before any is learnt
 SEEN = 0.2  # s, weight of that first guess
 DELAY_SD = 0.03  # s, between the streams
+APART, SURELY = 0.01, 4.0  # s, sigma: a delay that is worth a sentence
 STRONGEST = 1e3  # m/s^2: beyond it a reading is a fault
 FLOOR_ACCEL, FLOOR_RATE = 0.05, 0.01  # m/s^2, rad/s: quieter is taken for this
 
@@ -106,6 +107,14 @@ class Detector:
             "speed per step, driving [m/s]": float(np.sqrt(self._noise[r.ALONG, 2, 0])),
             "vertical, driving [m/s²]": float(np.sqrt(self._bnoise[2, 1])),
         }
+
+    def clocks(self) -> tuple[str, ...]:
+        """A sentence where the IMU's stamps and the wheels' have shown to be apart."""
+        delay, sd = float(self._p[3]), float(np.sqrt(self._P[3, 3]))
+        if abs(delay) < APART or abs(delay) < SURELY * sd or sd > 0.5 * DELAY_SD:
+            return ()
+        way = "late" if delay > 0 else "early"
+        return (f"The IMU's stamps are {1e3 * abs(delay):.0f} ± {1e3 * sd:.0f} ms {way} against the wheels'.",)
 
     def _walk(self, piece: Run, flush: bool) -> tuple[Disturbance, ...]:
         blows, stamps, last = self._blows(piece, flush)
@@ -260,7 +269,7 @@ def detect(run: Run, numbers: Assumptions) -> Disturbances:
     """All disturbances of a run, by onset, with the noise that was learnt and notes on what could not be seen."""
     detector = Detector(run.meta, numbers, run)
     found = (*detector.feed(run), *detector.finish())
-    return dataclasses.replace(gather(found), noise=detector.learnt, notes=_notes(run))
+    return dataclasses.replace(gather(found), noise=detector.learnt, notes=_notes(run), clocks=detector.clocks())
 
 
 def gather(found: tuple[Disturbance, ...]) -> Disturbances:

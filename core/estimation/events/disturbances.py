@@ -69,7 +69,8 @@ class Flags:
 
 @dataclass(frozen=True)
 class Disturbances:
-    """All that was found in a run. `found` by onset; `noise` learnt (SI, by name); notes on what could not be seen.
+    """All that was found in a run. `found` by onset; `noise` learnt (SI, by name); notes on what could not be seen;
+    clocks: a sentence where the streams' stamps are apart.
 
     live(t): flags as they were known at each stamp t, alarms to releases: what a causal filter may use.
     dated(t): flags from onset to end, with hindsight: for a smoother, or for a filter that goes back to the onset.
@@ -78,6 +79,7 @@ class Disturbances:
     found: tuple[Disturbance, ...] = ()
     noise: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    clocks: tuple[str, ...] = ()
 
     @property
     def events(self) -> tuple[Event, ...]:

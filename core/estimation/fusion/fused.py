@@ -96,7 +96,7 @@ def prepare(run: Run, config: Config | None = None) -> Prepared:
 
     wheels = turn_slip(run, events, numbers, disturbances) if rest is not None else None
     numbers, learnt = learn(run, events, numbers, config or {}, trial, wheels, rest_walk(run, rest))
-    notes = (*wrong, *start.notes, *trusted, *learnt, *notes, *events.notes)
+    notes = (*wrong, *start.notes, *trusted, *learnt, *found.clocks, *notes, *events.notes)
     return Prepared(run, events, numbers, problem(run, events, start, numbers, rest), disturbances, rest, notes)
 
 

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from core.estimation.assumptions import Assumptions
 from core.estimation.cleaning import gyro_readings
+from core.estimation.counters import counters
 from core.estimation.fusion.events import FARTHEST
 from core.estimation.fusion.start import LONGEST, fit_rigid
 from core.estimation.odometry import arcs, wheel_path
@@ -256,4 +257,4 @@ def _one_line(run: Run) -> tuple[str, ...]:
     )
 
 
-CHECKS: tuple[Check, ...] = (_gravity, _turning, _fixes, _beacons)
+CHECKS: tuple[Check, ...] = (counters, _gravity, _turning, _fixes, _beacons)

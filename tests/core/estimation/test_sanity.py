@@ -109,3 +109,37 @@ def test_a_sound_run_is_left_alone(seed: int) -> None:
         found, notes = sound(run, assume(run)[0])
         assert notes == ()
         assert all(a is b for a, b in zip(found.logs().values(), run.logs().values(), strict=True))
+
+
+@pytest.mark.parametrize(
+    ("modulus", "says"), [(2 * np.pi, "wraps round at 6.28319"), (2**16 / 2048 * 2 * np.pi, "wraps round at 201.06")]
+)
+def test_a_counter_that_wraps_is_unrolled(modulus: float, says: str) -> None:
+    run = WORLD.run
+    assert run.wheels is not None
+    offset = run.wheels.left + modulus - 3.0  # so that the wide one wraps as well
+    wrapped = dataclasses.replace(run.wheels, left=np.mod(offset, modulus))
+    for method in ("fused", "encoders", "encoders+gyro"):
+        found = estimate(dataclasses.replace(run, wheels=wrapped), method)
+        assert any("left encoder" in note and says in note for note in found.notes)
+        np.testing.assert_allclose(found.trajectory.pose, estimate(run, method).trajectory.pose, atol=1e-9)
+
+
+def test_a_counter_that_jumps_is_taken_out_and_named() -> None:
+    run = WORLD.run
+    assert run.wheels is not None
+    right = run.wheels.right + np.where(run.wheels.t > 30.0, 40.0, 0.0)
+    found = estimate(dataclasses.replace(run, wheels=dataclasses.replace(run.wheels, right=right)), "fused")
+    (note,) = [n for n in found.notes if "encoder" in n]
+    assert "right encoder jumps 1 times" in note and "at 30.02 s" in note
+    honest, errors = (evaluate(e.trajectory, run.truth).max_m for e in (estimate(run, "fused"), found))
+    assert honest is not None and errors is not None and errors < honest + 0.01
+
+
+def test_clocks_that_are_apart_are_named() -> None:
+    run = WORLD.run
+    assert run.imu is not None
+    late = dataclasses.replace(run, imu=dataclasses.replace(run.imu, t=run.imu.t + 0.04))
+    (note,) = [n for n in estimate(late, "fused").notes if "stamps" in n]
+    assert float(note.split("are ")[1].split()[0]) == pytest.approx(40, abs=6) and "late" in note
+    assert not any("stamps are" in n for n in estimate(run, "fused").notes)
