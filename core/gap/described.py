@@ -168,7 +168,7 @@ def _nearest(found: Search, stream: str) -> tuple[Nearest, ...]:
         if shape <= 0.0:
             continue
         strange = [step for step in one.steps if step.action.startswith("unknown")]
-        gains: Mapping[str, float] = dict(strange[-1].gains) if strange else one.gains
+        gains: Mapping[str, float] = {**one.gains, **(dict(strange[-1].gains) if strange else {})}
         for name, gain in gains.items():
             if stream in EFFECTS[name].streams and name not in one.fit.model:
                 takes[name] = max(takes.get(name, 0.0), min(max(gain, 0.0) / shape, 1.0))

@@ -17,7 +17,7 @@ from scipy import stats
 
 from core.effects import EFFECTS
 from core.errors import DriftscopeError
-from core.gap.candidates import BANDS, SHARES, STEPS, Reach, bounds, free_of
+from core.gap.candidates import BANDS, SEARCHED, SHARES, STEPS, TAUS, Reach, bounds, free_of
 from core.gap.evidence import Drive, Rivalry
 from core.gap.floor import Floor
 from core.gap.judge import odds
@@ -71,7 +71,7 @@ def rivals_of(links: Sequence[Found], causes: Sequence[Cause]) -> list[Rivals]:
             gains = dict(step.gains)
             for rival in weights:
                 near = min(chances.get(name, 0.0), chances.get(rival, 0.0))
-                if near > CLOSE and name in link.fit.model:
+                if near > CLOSE and name in link.fit.model and not {name, rival} & set(SEARCHED):
                     out.append((near, Rivals(name, rival, max(gains[name] - gains[rival], 0.0))))
     out.sort(key=lambda pair: -pair[0])
     return [pair for _, pair in out[:PAIRS]]
@@ -148,7 +148,7 @@ def separation(run: Run, scenario: str, model: EffectSet, pair: Rivals, floor: F
     restarts = np.column_stack((t[first], path.x[0, first], path.y[0, first], path.theta[0, first]))
     rest = {name: dict(values) for name, values in model.items() if name not in (pair.first, pair.second)}
     first_on = {**rest, pair.first: model[pair.first]}
-    second = _start(pair.second, reach)
+    second = _start(pair.second, reach, run)
     best = np.inf
     for _ in range(ROUNDS):
         around = {**rest, pair.second: second}
@@ -169,9 +169,13 @@ def separation(run: Run, scenario: str, model: EffectSet, pair: Rivals, floor: F
     return best
 
 
-def _start(effect: str, reach: Reach) -> dict[str, float | str]:
+def _start(effect: str, reach: Reach, run: Run) -> dict[str, float | str]:
     """Parameters near which an effect does something."""
     values = dict(EFFECTS[effect].neutral)
+    if effect == "gyro_drift":
+        values["tau"] = TAUS[1]
+    if effect == "anchor_moved":
+        values["beacon"] = next(iter(run.meta.beacons), "")
     if effect == "deadband":
         values["width"] = BANDS[1]
     tops = {"speed_limit": ("v_max", reach.speed), "accel_limit": ("a_max", reach.acceleration)}
