@@ -24,12 +24,12 @@ sys.path.insert(0, str(ROOT))
 from core.formats import read_run  # noqa: E402
 from core.gap import Diagnosis, diagnose  # noqa: E402
 from core.gap.candidates import candidates  # noqa: E402
-from core.gap.diagnose import reach_of  # noqa: E402
 from core.gap.floor import Floor  # noqa: E402
 from core.gap.linear import Problem, linearise, with_floor  # noqa: E402
 from core.gap.reference import restarts_of  # noqa: E402
+from core.gap.searched import reach_of  # noqa: E402
 from core.gap.selection import gains_of  # noqa: E402
-from core.gap.shrink import NOISES, figures  # noqa: E402
+from core.gap.shrink import NOISES, Scored, figures, show  # noqa: E402
 from core.gap.world import make_world  # noqa: E402
 from core.run import Run  # noqa: E402
 from tests.plants.gap_draws import draw, plans  # noqa: E402
@@ -74,7 +74,8 @@ def oracle(held: Run, answer: Effects) -> float | None:
     world = make_world(held, restarts_of(held, model=answer))
     problem = with_floor(Problem((world,), Floor({}, {}, {}), held.meta.effects), answer)
     noises = {name: values for name, values in answer.items() if name in NOISES}
-    return figures((world,), problem.floor, answer, noises, True, 0)[0].shrink
+    scored = Scored((world,), [show(world, {}, answer, problem.floor)], tuple(answer), True)
+    return figures(scored, problem.floor, noises, 0)[0].shrink
 
 
 def score(runs: Sequence[Run], held: Run, answer: Effects, outside: bool, baselines: bool) -> tuple[Row, Diagnosis]:
@@ -218,7 +219,9 @@ def main() -> None:
         line["pairs"] = pairs(found, answer, outside)
         line["immaterial"] = [one.effect for one in found.immaterial]
         lines.append(line)
-        print(f"{'ok ' if row['exact'] else 'BAD'} {stratum} {label}: {line['told']} [{row['cpu_s']:.1f} s]", flush=True)
+        print(
+            f"{'ok ' if row['exact'] else 'BAD'} {stratum} {label}: {line['told']} [{row['cpu_s']:.1f} s]", flush=True
+        )
         if chosen.lines:
             with chosen.lines.open("a") as out:
                 out.write(json.dumps(line) + "\n")
