@@ -56,7 +56,11 @@ def conclude(
     verdict = _verdict(sure, unexplained)
     advised = next_experiment(fitted_on[0].run, seen_by.causing, found.links, causes, floor, reach)
     told = Told(found.model, seen_by, causes, reach, advised, config.seed)
-    listed = (name for name in (*found.model, *noises) if name not in seen_by.material and name in seen_by.values)
+    listed = (
+        name
+        for name in (*found.model, *found.trifles, *noises)
+        if name not in seen_by.material and name in seen_by.values
+    )
     return Diagnosis(
         verdict=verdict,
         where=looked.where if verdict != "none" else (),

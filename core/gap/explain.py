@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from core.effects import EFFECTS
 from core.gap.candidates import Candidate
-from core.gap.fit import refit, with_trifles
+from core.gap.fit import refit, trifles_of, with_trifles
 from core.gap.linear import Model, Problem, linearise, with_floor
 from core.gap.scatter import DENSITIES, Scatter, block_means, gyro_left, gyro_walk, scatters, walk_costs
 from core.gap.selection import WORTH, Found, gains_of, search
@@ -60,6 +60,14 @@ class Search:
             merged |= {name: dict(values) for name, values in one.problem.held.items()}
             merged |= {name: dict(values) for name, values in one.fit.model.items()}
         return merged
+
+    @property
+    def trifles(self) -> dict[str, dict[str, tuple[float, float]]]:
+        """Effects that are real but within their tolerance: (value, standard deviation) by parameter."""
+        out: dict[str, dict[str, tuple[float, float]]] = {}
+        for one in self.links:
+            out |= {e: v for e, v in trifles_of(one.problem, one.fit).items() if e not in self.model}
+        return out
 
 
 def explain(problem: Problem, tried: Sequence[Candidate], progress: Progress = silent) -> Search:

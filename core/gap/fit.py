@@ -15,7 +15,7 @@ import numpy.typing as npt
 from core.effects import EFFECTS
 from core.gap.candidates import STEPS, bounds, free_of
 from core.gap.linear import BLOCK, HUBER, LOCAL, Model, Normal, Problem, White, columns_of, normal_equations, whitened
-from core.gap.nuisance import Nuisances, bounded
+from core.gap.nuisance import DRIFT, Nuisances, bounded
 from core.robot import EffectSet
 
 Array = npt.NDArray[np.float64]
@@ -133,9 +133,36 @@ def with_trifles(problem: Problem, fit: Fit) -> Model:
         parameter = name.split(".")[1]
         low, high = bounds(effect, parameter)
         values[parameter] = float(np.clip(float(values[parameter]) + size, low, high))
-        if start:
-            values["tau"] = float(start)
+        if effect == "gyro_drift":
+            values["tau"] = float(start or DRIFT)
     return out
+
+
+CLEAR = 3.0
+"""A nuisance this many standard deviations from nothing is told, as immaterial."""
+
+
+def trifles_of(problem: Problem, fit: Fit) -> dict[str, dict[str, tuple[float, float]]]:
+    """Effects that are real but within their tolerance: parameters with standard deviations."""
+    nuisances = problem.nuisances
+    beside = np.flatnonzero(nuisances.beside(list(fit.model)))
+    if not len(beside):
+        return {}
+    inner = nuisances.a[np.ix_(beside, beside)] + np.diag(nuisances.sd[beside] ** -2.0)
+    size = np.sqrt(np.diag(inner))
+    sd = np.sqrt(np.diag(np.linalg.inv(inner / np.outer(size, size)))) / size
+    clear = {nuisances.effects[i] for i, s in zip(beside, sd, strict=True) if abs(fit.trifles[i]) > CLEAR * s}
+    out: dict[str, dict[str, tuple[float, float]]] = {}
+    whole = with_trifles(problem, fit)
+    for i, s in zip(beside, sd, strict=True):
+        effect, name = nuisances.effects[i], nuisances.keys[i].split("@")[0].split(".")[1]
+        if effect in clear and effect in whole and effect not in CROWDED:
+            out.setdefault(effect, {})[name] = (float(whole[effect][name]), float(s))
+    return out
+
+
+CROWDED = ("gyro_drift", "anchor_moved")
+"""Nuisances of many columns, of which no one is told."""
 
 
 def _weight(residual: Array) -> Array:

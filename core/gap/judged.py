@@ -42,6 +42,8 @@ def judged(found: Search, reach: Reach, known: EffectSet, config: Config) -> Jud
     values: dict[str, Mapping[str, Value]] = {}
     for link in found.links:
         values |= {name: values_of(link.fit, name) for name in link.fit.model}
+    trifles = found.trifles
+    values |= {effect: {name: Value(*pair) for name, pair in one.items()} for effect, one in trifles.items()}
     material = [name for name in model if is_material(name, model[name], known, reach, config)]
     noises: dict[str, dict[str, float | str]] = {}
     for one in found.noises:
@@ -53,7 +55,8 @@ def judged(found: Search, reach: Reach, known: EffectSet, config: Config) -> Jud
     unexplained, doubt = unknown_of(found, material)
     chances = probabilities(found.links, material, doubt)
     fitted = {name: model[name] for name in model if name in material and chances.get(name, 0.0) > 0.5}
-    small = {name: model[name] for name in model if name not in material}
+    small: dict[str, Mapping[str, float | str]] = {name: model[name] for name in model if name not in material}
+    small |= {effect: {name: value for name, (value, _) in one.items()} for effect, one in trifles.items()}
     return Judged(values, tuple(material), chances, doubt, unexplained, fitted, small, noises)
 
 

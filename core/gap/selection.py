@@ -221,7 +221,10 @@ def search(
         if unknown is None:
             unknown = _stranger(problem, fit, best, paired[0])
             if unknown is not None:
+                before = fit.model
                 fit, unknown = _stood_in(problem, fit, unknown, scope)
+                gone = {f"add {name}" for name in before if name not in fit.model}
+                weighed = (*(pair for step in steps if step.action in gone for pair in step.gains), *weighed)
                 steps.append(Step(f"unknown {unknown[0].key}", weighed))
                 continue
         steps += [Step(f"add {one}", weighed) for one in name.split("+")]
