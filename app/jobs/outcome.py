@@ -56,7 +56,8 @@ def judged_innovations(run: Run, estimate: Estimate) -> tuple[dict[str, Innovati
     kept, at_rest = {}, {}
     for name, i in estimate.innovations.items():
         rows = _turning(run, i.t) if name.startswith("wheels.") else np.ones(len(i.t), bool)
-        kept[name] = Innovations(i.t[rows], i.nis[rows], i.dof, i.accepted[rows])
+        score = None if i.score is None else i.score[rows]
+        kept[name] = Innovations(i.t[rows], i.nis[rows], i.dof, i.accepted[rows], score)
         at_rest[name] = int(np.sum(~rows))
     return kept, at_rest
 
@@ -75,15 +76,15 @@ def consistency(
     innovations: dict[str, Innovations], at_rest: dict[str, int], claim: Consistency | None
 ) -> dict[str, Any]:
     """Whether the method knows its own errors: per sensor by its innovations, and by NEES where there is truth."""
-    sensors = {n: {**_sensor(i.nis, i.dof, i.accepted), "at_rest": at_rest[n]} for n, i in innovations.items()}
+    sensors = {n: {**_sensor(i), "at_rest": at_rest[n]} for n, i in innovations.items()}
     judged = None
     if claim is not None:
         judged = {"dof": claim.dof, "mean": finite(claim.mean), "band": list(claim.band), "inside": claim.inside}
     return {"sensors": sensors, "nees": judged}
 
 
-def _sensor(nis: npt.NDArray[np.float64], dof: int, accepted: npt.NDArray[np.bool_]) -> dict[str, Any]:
-    check = check_innovations(nis, dof, accepted)
+def _sensor(i: Innovations) -> dict[str, Any]:
+    check = check_innovations(i.nis, i.dof, i.accepted, i.score)
     white, advice = check.whiteness, check.advice
     return {
         "dof": check.dof,

@@ -44,12 +44,16 @@ class Value:
 
 @dataclass(frozen=True)
 class Innovations:
-    """Normalised innovation squared of one sensor: t, nis (M,), degrees of freedom, accepted (M,) by the gate."""
+    """Normalised innovation squared of one sensor: t, nis (M,), degrees of freedom, accepted (M,) by the gate.
+
+    score (M, k): signed innovations, each over its own standard deviation, where the method keeps them.
+    """
 
     t: Array
     nis: Array
     dof: int
     accepted: npt.NDArray[np.bool_]
+    score: Array | None = None
 
 
 @dataclass(frozen=True)

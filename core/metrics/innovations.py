@@ -7,7 +7,7 @@ Ljung, Box, Biometrika 65(2), 1978; van der Waerden 1952 (normal scores).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -91,8 +91,11 @@ class InnovationCheck:
     advice: NoiseAdvice | None
 
 
-def check_innovations(nis: Array, dof: int, accepted: npt.NDArray[np.bool_]) -> InnovationCheck:
-    """Everything said of one sensor over a whole run, from its NIS and acceptance (M,).
+def check_innovations(
+    nis: Array, dof: int, accepted: npt.NDArray[np.bool_], score: Array | None = None
+) -> InnovationCheck:
+    """Everything said of one sensor over a whole run, from its NIS and acceptance (M,); whiteness by the signed
+    innovations `score` (M, k) where they are given.
 
     The mean is over accepted readings; its band counts as many readings as these are worth, correlated as they are.
     """
@@ -101,6 +104,9 @@ def check_innovations(nis: Array, dof: int, accepted: npt.NDArray[np.bool_]) -> 
     taken = values[good]
     white = whiteness(values) if values.size >= FEWEST else None
     effective = max(1, round(white.effective * taken.size / values.size)) if white else taken.size
+    advice = noise_advice(values, dof, white.effective) if white else None
+    if white and score is not None:
+        white = replace(_white_together(score[known]), effective=white.effective)
     return InnovationCheck(
         dof=dof,
         readings=int(values.size),
@@ -108,7 +114,7 @@ def check_innovations(nis: Array, dof: int, accepted: npt.NDArray[np.bool_]) -> 
         mean=float(taken.mean()) if taken.size else None,
         band=chi2_band(dof, int(effective)) if taken.size else None,
         whiteness=white,
-        advice=noise_advice(values, dof, white.effective) if white else None,
+        advice=advice,
     )
 
 
@@ -129,7 +135,7 @@ def running_nis(t: Array, nis: Array, dof: int, windows: int = 200) -> Running:
 def whiteness(values: Array, lags: int = LAGS) -> Whiteness:
     """Is one reading's value independent of the next? By normal scores of ranks: outliers and a wrong R don't count.
 
-    NIS has no sign: a correlation rho of the innovations themselves shows as somewhat less than its square.
+    Of NIS, which has no sign, a correlation rho of the innovations shows as somewhat less than its square.
     """
     from scipy.special import ndtri
     from scipy.stats import chi2, rankdata
@@ -147,6 +153,19 @@ def whiteness(values: Array, lags: int = LAGS) -> Whiteness:
     small = np.flatnonzero(r < limit)
     clear = r[: small[0] if small.size else lags]
     return Whiteness(r, limit, statistic, float(chi2.sf(statistic, lags)), n / (1 + 2 * float(clear.sum())))
+
+
+def _white_together(score: Array) -> Whiteness:
+    """Of k signed innovations at once: their mean autocorrelation, their statistics as one."""
+    from scipy.stats import chi2
+
+    parts = [whiteness(column[np.isfinite(column)]) for column in score.T]
+    lags = min(len(p.autocorrelation) for p in parts)
+    r = np.mean([p.autocorrelation[:lags] for p in parts], axis=0)
+    statistic = float(sum(p.statistic for p in parts))
+    limit = float(np.mean([p.limit for p in parts])) / np.sqrt(len(parts))
+    p_value = float(chi2.sf(statistic, sum(len(p.autocorrelation) for p in parts)))
+    return Whiteness(r, limit, statistic, p_value, min(p.effective for p in parts))
 
 
 def noise_advice(nis: Array, dof: int, effective: float | None = None) -> NoiseAdvice:

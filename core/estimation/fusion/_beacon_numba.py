@@ -330,6 +330,8 @@ def fix(
     rows = _fix_rows(a, x, P, mem, c, work, index)
     nis, log = _joint(P, n, rows, work, index)
     out.nis[e, 0], out.nis[e, 1], out.status[e, 0] = nis, log, ACCEPTED
+    for row in range(2):
+        out.score[e, row] = work[INNOVATION, row] / math.sqrt(_product(row, work, index, row) + work[NOISE, row])
     gate = c[GATE2] if rows == 2 else c[GATE3]
     ease = max(nis / (SOFT * gate), 1.0)
     if not nis <= gate:
@@ -375,6 +377,7 @@ def range_to(
     rows = index[0, ROOM] // index[0, ROOM]
     nis, log = _joint(P, n, rows, work, index)
     out.nis[e, 0], out.nis[e, 1], out.status[e, 0] = nis, log, ACCEPTED
+    out.score[e, 0] = math.copysign(math.sqrt(nis), work[INNOVATION, 0])
     ease, o = max(nis / (SOFT * c[GATE1]), 1.0), int(a[4])
     if not nis <= c[GATE1]:
         out.status[e, 0], ease = REJECTED, 1.0

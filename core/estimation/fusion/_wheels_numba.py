@@ -184,10 +184,12 @@ def wheels(
         mem[T_TRUST] = t
     else:
         nu = a[0] - x[S]
-        out.nis[e, 0] = nu * nu / (P[S * N + S] + c[R_DISTANCE])
+        out.score[e, 0] = nu / math.sqrt(P[S * N + S] + c[R_DISTANCE])
+        out.nis[e, 0] = out.score[e, 0] * out.score[e, 0]
         if turning:
             nu_turn = a[1] - x[PHI]
-            out.nis[e, 1] = nu_turn * nu_turn / (P[PHI * N + PHI] + c[R_TURN])
+            out.score[e, 1] = nu_turn / math.sqrt(P[PHI * N + PHI] + c[R_TURN])
+            out.nis[e, 1] = out.score[e, 1] * out.score[e, 1]
         stands = _stands(t, flags, mem, c)
         said = flags & (LEFT | RIGHT | TURN) != 0 and (
             stands or flags & STOPPED == 0 or t - mem[STOP_SINCE] < STOP_TIME

@@ -68,7 +68,9 @@ def innovations(events: Events, walked: Walk) -> dict[str, Innovations]:
             rows &= only
         if rows.any():
             accepted = walked.status[rows, column] == ACCEPTED
-            found[name] = Innovations(events.t[rows], walked.nis[rows, column], dof, accepted)
+            signed = slice(0, 2) if kind == FIX else slice(column, column + 1)
+            score = None if walked.score is None else walked.score[rows, signed]
+            found[name] = Innovations(events.t[rows], walked.nis[rows, column], dof, accepted, score)
     return found
 
 

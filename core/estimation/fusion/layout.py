@@ -148,12 +148,14 @@ def records(events: int, rows: int) -> Records:
 
 class Tracks(NamedTuple):
     """What the filter writes: nis, status (E, 2) per event; rows (M, 5) of x, y, theta, bias and its variance, and
-    covariance (M, 3, 3) per OUT event."""
+    covariance (M, 3, 3) per OUT event; score (E, 2), signed innovations over their own sd: WHEEL distance and turn, FIX
+    x and y, RANGE."""
 
     nis: Any
     status: Any
     rows: Any
     covariance: Any
+    score: Any
 
 
 class Readings(NamedTuple):

@@ -101,6 +101,7 @@ class Walk:
     x: Array
     P: Array
     leaps: tuple[Leap, ...] = ()
+    score: Array | None = None  # (E, 2), as `Tracks`
 
 
 @dataclass(frozen=True)
@@ -232,12 +233,17 @@ def _constants(run: Run, events: Events, numbers: Assumptions, rest: Rest | None
 def tracks(events: Events) -> Tracks:
     """Room for what a walk over the events writes."""
     e, m = len(events.t), len(events.out)
-    return Tracks(np.full((e, 2), np.nan), np.zeros((e, 2), np.int8), np.empty((m, 5)), np.empty((m, 3, 3)))
+    return Tracks(
+        np.full((e, 2), np.nan), np.zeros((e, 2), np.int8), np.empty((m, 5)), np.empty((m, 3, 3)),
+        np.full((e, 2), np.nan),
+    )  # fmt: skip
 
 
 def _walked(out: Tracks, state: State) -> Walk:
     rows = out.rows
-    return Walk(out.nis, out.status, rows[:, :3], out.covariance, rows[:, 3], rows[:, 4], state.x, state.P)
+    return Walk(
+        out.nis, out.status, rows[:, :3], out.covariance, rows[:, 3], rows[:, 4], state.x, state.P, score=out.score
+    )
 
 
 def walk(p: Problem, events: Events, disturbances: Disturbances | None = None) -> Walk:

@@ -202,6 +202,14 @@ def test_odd_readings_are_told_and_the_rest_is_given() -> None:
     np.testing.assert_allclose(made.calibration.gyro.noise_sd, RIG.gyro.noise_sd, rtol=0.06)
 
 
+def test_a_run_that_sways_is_no_rest() -> None:
+    rest = without(rest_run(RIG, 9, 60.0), "ax", "ay", "az")
+    assert rest.imu is not None
+    swaying = dataclasses.replace(rest.imu, gz=rest.imu.gz + np.sin(rest.imu.t))
+    with pytest.raises(NotEnoughDataError, match="gz's readings wander"):
+        calibrate([dataclasses.replace(rest, imu=swaying)])
+
+
 def test_spin_up_inside_a_segment_is_trimmed(table: Run) -> None:
     made = calibrate([table])
     for used, declared in zip(made.used, segments(table), strict=True):

@@ -221,6 +221,8 @@ def test_no_rest_at_all_leaves_the_raw_integral() -> None:
     t, gz = still(100, bias=0.0)
     made = track_bias(Run(imu=ImuLog(t, gz + np.sin(t))), "best")
     assert any("No rest" in note for note in made.notes)
+    assert any("Hardly a segment" in note for note in track_bias(Run(imu=ImuLog(t, gz + np.sin(t))), "C").notes)
+    assert not any("Hardly a segment" in note for note in track_bias(Run(imu=ImuLog(t, gz)), "C").notes)
     assert made.theta[-1] == pytest.approx(1 - np.cos(made.t[-1]), abs=0.02)
     assert made.theta_sd is not None
     assert made.theta_sd[-1] > 1

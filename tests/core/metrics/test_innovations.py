@@ -96,3 +96,15 @@ def test_refused_readings_are_counted_and_few_are_not_judged() -> None:
     assert check.whiteness is None and check.advice is None
     nothing = check_innovations(nis, 3, np.zeros(20, bool))
     assert nothing.mean is None and nothing.rejected == 20
+
+
+def test_whiteness_is_told_by_signs_where_they_are_known() -> None:
+    """A correlation of 0.3 hides in the squares (0.09), not in the signed innovations; white ones stay white."""
+    rng = np.random.default_rng(3)
+    noise = rng.standard_normal((2001, 2))
+    lasting = 0.95 * noise[1:] + 0.31 * noise[:-1]
+    for score, white in ((noise[1:], True), (lasting, False)):
+        check = check_innovations(np.sum(score**2, axis=1), 2, np.ones(2000, bool), score)
+        found = check.whiteness
+        assert found is not None and (found.p_value > 0.01) is white
+        assert found.autocorrelation[0] == pytest.approx(0.0 if white else 0.295, abs=0.04)
