@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from app.figures.gap_sentence import regressor_name, stream_name, times
+from app.figures.gap_sentence import joint, regressor_name, stream_name, times
 from app.figures.gap_which import Line, across, regressor_unit, residual_unit, scaled
 from app.figures.gap_words import edge, label, percent, quantity
 from app.figures.plot import Band, Curve, Plot, plot, tick_text
@@ -204,7 +204,7 @@ def far(result: Result, width: float = 560.0) -> Far:
 def shrunk(result: Result) -> str:
     """How much of the gap goes, with its interval."""
     gap = result["gap"]
-    if gap["shrink"] is None:
+    if gap["shrink"] is None or not joint(result):
         return ""
     ci = gap.get("shrink_ci")
     between = f" (90 %: {percent(ci[0], 3)} to {percent(ci[1], 3)})" if ci and None not in ci else ""

@@ -79,7 +79,7 @@ def times(value: float | None) -> str:
     """A gap in units of the noise: 3.2, 1.05, 41."""
     if value is None:
         return "an unknown number of"
-    return significant(value, 3 if 0.1 <= abs(value) < 2 else 2) if abs(value) < 100 else f"{value:,.0f}"
+    return significant(value, 3 if 1 <= abs(value) < 2 else 2) if abs(value) < 100 else f"{value:,.0f}"
 
 
 def _none(result: Mapping[str, Any]) -> str:
@@ -150,8 +150,11 @@ def _unknown(result: Mapping[str, Any]) -> str:
     size = f"{_whose(gap)} is {times(gap['before'])} times the noise (floor {times(gap['floor'])})"
     if rest is None:
         return f"Something acts on the robot that is in no list: {size}, and no listed effect explains it."
-    shown = _depends(rest)
-    return f"Something in no list acts on the {stream_name(rest['stream'])}{shown}: {size}."
+    own = gap["by_stream"].get(rest["stream"])
+    if own:
+        error = f"{'its held-out error' if gap['held_out'] else 'its error'} is {times(own['before'])} times the noise"
+        size = f"{error} (floor {times(own['floor'])})"
+    return f"Something in no list acts on the {stream_name(rest['stream'])}{_depends(rest)}: {size}."
 
 
 def _left(result: Mapping[str, Any]) -> str:

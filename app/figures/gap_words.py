@@ -178,7 +178,7 @@ def edge(unit: str) -> tuple[float, str]:
 
 
 def digits_of(value: float, std: float | None) -> int:
-    """Significant digits so that the deviation shows in its first two."""
+    """Significant digits so that the deviation shows in its first."""
     if not std or not value or not math.isfinite(std) or not math.isfinite(value):
         return 3
-    return min(max(math.floor(math.log10(abs(value))) - math.floor(math.log10(std)) + 2, 2), 7)
+    return min(max(math.floor(math.log10(abs(value))) - math.floor(math.log10(std)) + 1, 2), 7)

@@ -73,6 +73,7 @@ function startTools() {
   menu.append(...targets.map((t) => h("button", { type: "button", "data-target": t.name, title: t.what, onclick: () => (($("#patch").open = false), patch(t)) }, t.label)));
   const some = Object.keys(diagnosis.effects).length > 0;
   $("#patch").hidden = !some;
+  $(".share-row").hidden = !some;
   if ($("#open-sandbox")) $("#open-sandbox").href = `/sandbox?${new URLSearchParams({ run: diagnosis.runs[0].id, ...(some ? { effects: JSON.stringify(diagnosis.effects) } : {}) })}`;
   for (const id of ["#patch", "#download"]) closeOutside($(id));
   const copy = $("#copy-command");
