@@ -15,6 +15,7 @@ from core.gap.floor import Floor
 from core.gap.generic import Shape
 from core.gap.judge import odds
 from core.gap.judged import Judged, advisable, judged
+from core.gap.leftover import chance_of_unknown
 from core.gap.rejected import rejected, unseen
 from core.gap.shrink import Scored, figures, show
 from core.gap.stretches import Part
@@ -71,7 +72,7 @@ def conclude(
         next_experiment=None if advised is None else advised[0],
         rejected=rejected(found, seen_by.material, seen_by.chances),
         unseen=unseen(found, reach),
-        probabilities={**seen_by.chances, **_others(verdict, seen_by)},
+        probabilities={**seen_by.chances, **_others(found, verdict, seen_by)},
         model={name: values for name, values in {**found.model, **seen_by.noises}.items() if name not in harmful},
         noise={name: floor.sigma[name] / floor.sheet[name] for name in floor.sigma if name in floor.sheet},
         notes=(*_notes(floor), *_warnings(harmful, scored, seen_by)),
@@ -98,13 +99,11 @@ def _verdict(sure: Sequence[Cause], unexplained: Unexplained | None) -> str:
     return "explained" if sure else "none"
 
 
-def _others(verdict: str, seen_by: Judged) -> dict[str, float]:
+def _others(found: Search, verdict: str, seen_by: Judged) -> dict[str, float]:
     """Probability of "none" and "unknown"."""
-    strange = SURE_NONE if seen_by.unexplained is not None else 0.0
-    return {
-        "none": SURE_NONE if verdict == "none" else 0.0,
-        "unknown": max(strange, *seen_by.doubt.values()) if seen_by.doubt else strange,
-    }
+    strange = max(chance_of_unknown(found), *seen_by.doubt.values(), 0.0)
+    nothing = SURE_NONE * (1.0 - strange) if verdict == "none" else 0.0
+    return {"none": nothing, "unknown": strange}
 
 
 def _warnings(harmful: Sequence[str], scored: Scored, seen_by: Judged) -> tuple[str, ...]:
@@ -126,7 +125,7 @@ def _causes(found: Search, seen_by: Judged, shares: Mapping[str, float]) -> tupl
     return tuple(causes)
 
 
-SURE_NONE = 0.95
+SURE_NONE = 0.97
 """Of "none" where nothing material was found: what a clean run's false alarms leave."""
 
 

@@ -74,6 +74,9 @@ def explain(problem: Problem, tried: Sequence[Candidate], progress: Progress = s
     """The models of both links; missed ticks, which act in both, by weighing whole explanations."""
     links = problem.leads and problem.worlds[0].wheel_inputs is not None
     if not links:
+        if problem.leads and problem.worlds[0].wheel_inputs is None:
+            worlds = tuple(_smooth_wheels(world) for world in problem.worlds)
+            problem = with_floor(dataclasses.replace(problem, worlds=worlds), {})
         body = search(problem, [c for c in tried if c.effect != "missed_ticks"], "body")
         return _finish(None, body, tried)
     drive = [c for c in tried if EFFECTS[c.effect].family == "drive"]
@@ -126,6 +129,21 @@ def recorded(world: World, wheels: Found) -> World:
         angle = predicted[name][0, world.keep(name)]
         angle = angle + smooth(world.readings[name] - angle, wheels.problem.floor.sigma[name])
         speeds.append(radius * np.diff(angle) / np.diff(t))
+    return world.with_wheels(0.5 * (t[1:] + t[:-1]), *speeds)
+
+
+def _smooth_wheels(world: World) -> World:
+    """Driven by its encoders without their rounding: accelerations are second differences of what they count."""
+    wheels, robot = world.run.wheels, world.run.meta.robot
+    if wheels is None or not robot.ticks_per_rev:
+        return world
+    known = np.isfinite(wheels.left) & np.isfinite(wheels.right)
+    t, speeds = wheels.t[known], []
+    if len(t) < 8:
+        return world
+    for side in (wheels.left[known], wheels.right[known]):
+        angle = smooth(np.asarray(side, dtype=np.float64), 2.0 * np.pi / robot.ticks_per_rev / np.sqrt(12.0))
+        speeds.append((robot.wheel_radius or 0.0) * np.diff(angle) / np.diff(t))
     return world.with_wheels(0.5 * (t[1:] + t[:-1]), *speeds)
 
 

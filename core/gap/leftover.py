@@ -8,8 +8,23 @@ import numpy as np
 
 from core.gap.explain import Search
 from core.gap.fit import refit
+from core.gap.selection import Found
 from core.gap.types import Unexplained
-from core.gap.unknown import depends_on, matters, rest_of, stream_of, touching, words
+from core.gap.unknown import CHANCE, SURELY, depends_on, rest_of, strangeness, stream_of, touching, words
+
+
+def chance_of_unknown(found: Search) -> float:
+    """Probability that something is at work that no list has."""
+    best = 0.0
+    for scope, one in zip(("wheels", "body")[-len(found.links) :], found.links, strict=True):
+        best = max(best, SURELY if one.unknown is not None else strangeness(found.rests[scope], _bar(found, one)))
+    return best
+
+
+def _bar(found: Search, one: Found) -> float:
+    """What a rest must bring: no model is exact to more than a share of what it explains."""
+    crumbs = 0.01 * max((value for link in found.links for value in link.earned.values()), default=0.0)
+    return max(CHANCE, min(crumbs, 0.1 * max(one.earned.values(), default=0.0) + 400.0))
 
 
 def unknown_of(found: Search, material: Sequence[str]) -> tuple[Unexplained | None, dict[str, float]]:
@@ -27,12 +42,8 @@ def unknown_of(found: Search, material: Sequence[str]) -> tuple[Unexplained | No
             continue
         shape = rest_shape
         stream = stream_of(shape)
-        took = one.earned
         suspects = [name for name in touching(shape, list(one.fit.model)) if name in material]
-        crumbs = 0.01 * max((value for link in found.links for value in link.earned.values()), default=0.0)
-        if not matters(
-            gain, max(0.2 * one.tolerated.get(stream, 0.0), min(crumbs, 0.1 * max(took.values(), default=0.0) + 400.0))
-        ):
+        if gain <= _bar(found, one):
             continue
         if suspects:
             rest = {name: values for name, values in one.fit.model.items() if name not in suspects}

@@ -136,6 +136,23 @@ def _exact(white: Sequence[Mapping[str, White]], generic: Sequence[Mapping[str, 
     return best
 
 
+STEEP = 2.0
+"""How fast doubt turns into belief, per e-fold of what a shape brings over what it must."""
+
+
+def strangeness(rest: Rest, bar: float = CHANCE) -> float:
+    """Probability that something unlisted of material size is left. bar: drop of deviance that a shape must bring."""
+    best = -np.inf
+    for shape, gain in rest.shapes:
+        size = rest.sizes.get(shape.key, 0.0)
+        best = max(best, min(np.log(max(gain, 1e-9) / bar), 2.0 * np.log(max(size, 1e-9))))
+    return float(SURELY / (1.0 + np.exp(-STEEP * np.clip(best, -10.0, 10.0))))
+
+
+SURELY = 0.98
+"""No probability of an unknown is higher."""
+
+
 def touching(shape: Shape, model: Sequence[str]) -> list[str]:
     """Effects of a model that could have taken what is the shape's."""
     streams = {"body.w": "imu.gz", "body.v": "truth.x", "body.vy": "imu.ay"}
