@@ -13,6 +13,7 @@ import pytest
 from fastapi.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
+from app.jobs import kinds
 from app.live import run as live_run
 from app.main import create_app
 from app.settings import Settings
@@ -29,10 +30,11 @@ PARTS = list(pieces(RUN, 0.1))
 
 @pytest.fixture(scope="module")
 def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    """One server for all; estimates of stored runs are not waited for."""
+    """One server for all; stored runs are not estimated again."""
     data = tmp_path_factory.mktemp("live") / "data"
     app = create_app(Settings(data=data, workers=1, allowed_hosts=("testserver",)))
-    with TestClient(app, raise_server_exceptions=False) as client:
+    with pytest.MonkeyPatch.context() as patch, TestClient(app, raise_server_exceptions=False) as client:
+        patch.setattr(kinds.jobs, "first_jobs", lambda session, run_id: [])
         yield client
 
 
@@ -188,7 +190,8 @@ def test_two_robots_with_one_name_are_not_mixed_up(client: TestClient) -> None:
 def test_who_sends_too_fast_waits_and_who_does_not_listen_is_cut_off(
     client: TestClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(live_run.LIMITS, "batches_per_s", 5.0)
+    monkeypatch.setitem(live_run.LIMITS, "batches_per_s", 1e-3)  # twenty at once, then hardly any more
+    monkeypatch.setattr(live_run, "BURST", 20e3)
     monkeypatch.setattr(live_run, "FLOOD", 30)
     robot = join(client, "hasty", hello(RUN))
     heard(robot, "welcome")
