@@ -90,6 +90,14 @@ function strokeWhere(ctx, view, path, wanted, ink, width) {
   ctx.setLineDash([]);
 }
 
+// What has been added to a path since its first `from` poses were drawn.
+export function drawTail(ctx, view, path, from) {
+  if (path.t.length <= from) return;
+  const start = Math.max(0, from - 1);
+  const tail = { ...path, t: path.t.slice(start), x: path.x.slice(start), y: path.y.slice(start) };
+  strokeWhere(ctx, view, tail, () => true, colour(path.color), path.width);
+}
+
 function drawDots(ctx, view, { t, x, y }, range, ink) {
   const strong = withAlpha(ink, 0.75);
   const pale = withAlpha(ink, 0.2);

@@ -22,6 +22,8 @@ import { mapSvg } from "./map-svg.js";
 import { bounds, createView, inDrawOrder, nearest, poseAt, roomier } from "./map-view.js";
 import { colour, onThemeChange } from "./palette.js";
 
+const BASE_EVERY = 1000; // ms, for paths that grow
+
 const TOOLS = [
   ["png", "PNG", "Picture of this view, with legend"],
   ["svg", "SVG", "Drawing of this view, for papers"],
@@ -51,6 +53,8 @@ export function createMap(host, { clock, subject = "", fileName = "path", layers
   let fitted = true; // the user has not moved the view: new paths and sizes fit again
   let dirty = 0; // 1: cursor layer, 2: everything
   let asked = 0; // the animation frame asked for
+  let baseAt = 0; // when the base was painted
+  const painted = new Map(); // how much of each path is on it
   let under = null; // {path, index} below the pointer
   let placed = []; // events as they stand on the screen
 
@@ -74,8 +78,10 @@ export function createMap(host, { clock, subject = "", fileName = "path", layers
     // The view widens in steps, not with every pose. Painted at once: who calls this is in an animation frame.
     grown() {
       const box = fitted && bounds(map.shown.length ? map.shown : paths, beacons);
-      if (box && !view.holds(box)) view.fit(roomier(box));
-      dirty = 2;
+      const outside = box && !view.holds(box);
+      if (outside) view.fit(roomier(box));
+      const stale = performance.now() - baseAt > BASE_EVERY || paths.some((p) => p.t.length < (painted.get(p.method) ?? 0));
+      dirty = Math.max(dirty, outside || stale ? 2 : 1); // between two of the base, what is new is drawn on the top
       paint();
     },
     setEvents(method, list) {
@@ -141,6 +147,8 @@ export function createMap(host, { clock, subject = "", fileName = "path", layers
   function paintBase(ctx) {
     draw.drawGround(ctx, view);
     const shown = map.shown;
+    baseAt = performance.now();
+    for (const path of paths) painted.set(path.method, path.t.length);
     for (const path of shown) if (path.dots) draw.drawPath(ctx, view, path, clock.range);
     const claim = claiming();
     if (claim) for (const pose of draw.ellipsesAlong(view, claim, clock.range)) draw.drawEllipse(ctx, view, claim, pose, draw.SIGMAS_95, 0.08);
@@ -163,6 +171,7 @@ export function createMap(host, { clock, subject = "", fileName = "path", layers
   }
 
   function paintTop(ctx) {
+    for (const path of inDrawOrder(map.shown.filter((p) => p.hold))) draw.drawTail(ctx, view, path, painted.get(path.method) ?? 0);
     const moments = clock.hover === null ? [[clock.time, false]] : [[clock.time, true], [clock.hover, false]];
     for (const [time, ghost] of moments) {
       for (const path of map.shown) {

@@ -11,7 +11,7 @@ import { colour } from "../lib/palette.js";
 const RANGE_HOLDS = 1; // s: an older range says little of where the robot is now
 const STEPS = 8;
 export const TRAILS = {
-  method: { label: "method", about: "Each path in its method's colour." },
+  method: { label: "methods", about: "Each path in its method's colour." },
   speed: { label: "speed", about: "The leading path, thicker and darker where it was faster.", unit: "m/s" },
   gap: { label: "gap", about: "The leading path, thicker and redder where the chain was further outside its noise floor.", unit: "× floor" },
 };
