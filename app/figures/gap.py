@@ -13,7 +13,7 @@ from typing import Any
 
 from app.figures.gap_sentence import joint, regressor_name, stream_name, times
 from app.figures.gap_which import Line, across, regressor_unit, residual_unit, scaled
-from app.figures.gap_words import edge, label, percent, quantity
+from app.figures.gap_words import edge, label, percent, quantity, share
 from app.figures.plot import Band, Curve, Plot, plot, tick_text
 from app.figures.units import significant
 
@@ -83,6 +83,11 @@ class Spot:
 
 def links(result: Result, evidence: Evidence) -> list[Link]:
     """The chain, in its order."""
+    chain = evidence.get("links") or ()
+    guilty = result.get("link")
+    if guilty not in {one["link"] for one in chain} and result.get("unexplained"):
+        left = result["unexplained"]["stream"]
+        guilty = next((one["link"] for one in chain if left in one["streams"]), None)
     return [
         Link(
             one["link"],
@@ -93,9 +98,9 @@ def links(result: Result, evidence: Evidence) -> list[Link]:
             p_text(one["p_value"]),
             level(over(one["before"], one["floor"])),
             level(over(one["after"], one["floor"])),
-            one["link"] == result.get("link"),
+            one["link"] == guilty,
         )
-        for one in evidence.get("links") or ()
+        for one in chain
     ]
 
 
@@ -129,7 +134,7 @@ def spots(result: Result) -> list[Spot]:
         at = f", within {significant(place['radius'], 2)} m of ({place['x']:.1f}, {place['y']:.1f})" if place else ""
         spans = tuple((float(a), float(b)) for a, b in one.get("intervals") or ())
         said = f"{stream_name(one['stream'])}, {one['regime']}{at}"
-        out.append(Spot(said, percent(one["share"] or 0.0), p_text(one["p_value"]), spans))
+        out.append(Spot(said, share(one["share"]), p_text(one["p_value"]), spans))
     return out
 
 
@@ -295,7 +300,7 @@ def shapes(evidence: Evidence) -> list[Shape]:
             (Curve("what is left", "g-real", x, y),), (Band("g-band", x, lo, hi),), x_label=across(one["regressor"]),
             y_label=f"residual, {edge(unit)[1]}", width=360, height=180,
         )  # fmt: skip
-        out.append(Shape(f"by {regressor_name(one['regressor'])}", percent(one["share"] or 0.0), drawn))
+        out.append(Shape(f"by {regressor_name(one['regressor'])}", share(one["share"]), drawn))
     return out
 
 
@@ -318,10 +323,7 @@ def left_facts(evidence: Evidence) -> list[str]:
 def nearest(evidence: Evidence) -> list[Line]:
     """Listed effects close to what is left."""
     rest = evidence.get("unexplained") or {}
-    return [
-        Line(o["effect"], label(o["effect"]), o["reason"], percent(o["takes"] or 0.0))
-        for o in rest.get("nearest") or ()
-    ]
+    return [Line(o["effect"], label(o["effect"]), o["reason"], share(o["takes"])) for o in rest.get("nearest") or ()]
 
 
 def drive_plot(evidence: Evidence) -> Plot | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from app.figures.gap_words import as_set, difference, label, percent
+from app.figures.gap_words import as_set, difference, label, share
 from app.figures.units import significant
 
 JOINT = 0.5  # causes above this probability are the joint explanation (gap/1)
@@ -70,7 +70,7 @@ def headline(result: Mapping[str, Any]) -> str:
     causes = joint(result)
     if result["verdict"] == "none" or not causes:
         return VERDICTS.get(str(result["verdict"]), str(result["verdict"]))
-    shown = ", ".join(f"{label(c['effect'])} {percent(part, 2)}" for c, part in _parts(causes, result["gap"])[:NAMED])
+    shown = ", ".join(f"{label(c['effect'])} {share(part)}" for c, part in _parts(causes, result["gap"])[:NAMED])
     more = f" and {len(causes) - NAMED} more" if len(causes) > NAMED else ""
     return shown + more + ("; a part unknown" if result["verdict"] == "partly_explained" else "")
 
@@ -113,9 +113,9 @@ def _explains(causes: Sequence[Mapping[str, Any]], gap: Mapping[str, Any]) -> st
     parts = _parts(causes, gap)
     if len(parts) == 1:
         cause, part = parts[0]
-        of = f"{percent(part)} of the gap" if part >= 0.005 else "next to nothing of the gap"
+        of = f"{share(part)} of the gap" if part >= 0.005 else "next to nothing of the gap"
         return f"{_capital(label(cause['effect']))} explains {of} (probability {cause['probability']:.2f})"
-    named = [f"{label(cause['effect'])} ({percent(part)})" for cause, part in parts[:NAMED]]
+    named = [f"{label(cause['effect'])} ({share(part)})" for cause, part in parts[:NAMED]]
     if len(parts) > NAMED:
         named.append(f"{len(parts) - NAMED} smaller {'effect' if len(parts) == NAMED + 1 else 'effects'}")
     least = min(cause["probability"] for cause in causes)

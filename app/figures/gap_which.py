@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from app.figures.gap_sentence import JOINT, regressor_name, stream_name
-from app.figures.gap_words import as_set, difference, digits_of, edge, label, percent, quantity
+from app.figures.gap_words import as_set, difference, digits_of, edge, label, quantity, share
 from app.figures.plot import Band, Curve, Plot, plot
 from core.effects import EFFECTS
 
@@ -111,7 +111,7 @@ def _found(cause: Mapping[str, Any], evidence: Evidence) -> Found:
         EFFECTS[effect].equation if effect in EFFECTS else "",
         as_set(effect, cause["parameters"]),
         f"{cause['probability']:.2f}",
-        percent(cause["share"] or 0.0),
+        share(cause["share"]),
         sizes(effect, cause["parameters"]),
         tuple(label(name) for name in cause.get("confusable_with") or ()),
         (cause["probability"] or 0.0) > JOINT,
@@ -198,7 +198,7 @@ def considered(result: Result, evidence: Evidence) -> list[Line]:
     rows = evidence.get("considered") or ()
     if rows:
         ranked = sorted(rows, key=lambda one: -(one.get("takes") or 0.0))
-        return [Line(o["effect"], label(o["effect"]), o["reason"], percent(o["takes"] or 0.0)) for o in ranked]
+        return [Line(o["effect"], label(o["effect"]), o["reason"], share(o["takes"])) for o in ranked]
     return [Line(o["effect"], label(o["effect"]), o["reason"]) for o in result.get("rejected") or ()]
 
 

@@ -25,6 +25,13 @@ def percent(share: float, digits: int = 2) -> str:
     return f"{significant(value, digits)} %"
 
 
+def share(value: float | None) -> str:
+    """A part of a whole; what is next to nothing is told so."""
+    if not value:
+        return "0 %"
+    return "< 0.1 %" if 0.0 < value < 0.001 else percent(value)
+
+
 def number_as_set(value: float, std: float | None) -> str:
     """A parameter to type in: as many digits as its deviation leaves meaning, and no thousands apart."""
     if not math.isfinite(value):

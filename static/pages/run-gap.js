@@ -14,7 +14,9 @@ export function mountGap(host, { run, data }) {
   const found = h("div", { class: "gap-latest", id: "gap-found" });
   const go = h("button", { type: "button", class: "button primary", id: "diagnose-run", "data-hint": "Fit this run against the nominal simulator and score it on itself" }, "Diagnose this run");
   const more = h("a", { class: "button", href: `/diagnoses?runs=${run.id}`, "data-hint": "With other runs, some held out, and what matters (d)" }, "With other runs …");
-  const root = h("section", { class: "card gap-tab" }, found, note, h("div", { class: "row" }, go, more));
+  const asking = h("div", { class: "row" }, go, more);
+  const root = h("section", { class: "card gap-tab" }, found);
+  found.replaceChildren(asking, note);
   let gone = false;
   host.append(root);
 
@@ -28,20 +30,21 @@ export function mountGap(host, { run, data }) {
   async function load() {
     try {
       const { items } = await api(`diagnoses?run=${run.id}&limit=20`);
-      if (!gone) found.replaceChildren(...shown(items));
+      if (!gone) found.replaceChildren(...shown(items, asking, note));
     } catch (error) {
-      found.replaceChildren(problemNote(error));
+      found.replaceChildren(problemNote(error), asking, note);
     }
     root.dataset.state = "ready";
   }
 
-  function shown([latest, ...rest]) {
-    if (!latest) return [h("p", {}, "Not diagnosed yet: where does this run differ from its simulator, which effect causes it, and how far does the gap shrink?")];
+  function shown([latest, ...rest], ...ask) {
+    if (!latest) return [h("p", {}, "Not diagnosed yet: where does this run differ from its simulator, which effect causes it, and how far does the gap shrink?"), ...ask];
     const streams = Object.entries(latest.gap.by_stream).sort((a, b) => b[1].before / b[1].floor - a[1].before / a[1].floor);
     const rows = [["all streams", latest.gap], ...streams].map(([name, g]) => h("tr", {}, h("th", { scope: "row" }, streamName(name)), h("td", { class: "num" }, number(g.before)), h("td", { class: "num" }, number(g.after)), h("td", { class: "num dim" }, number(g.floor))));
     return [
       h("p", { class: "said" }, said(latest.sentence)),
-      h("div", { class: "row" }, chip(latest), h("a", { class: "button", id: "open-diagnosis", href: `/diagnoses/${latest.id}` }, "Open the report"), h("span", { class: "dim" }, when(latest.created_at).text)),
+      h("div", { class: "row" }, chip(latest), h("a", { class: "button", id: "open-diagnosis", href: `/diagnoses/${latest.id}` }, "Open the report"), h("span", { class: "dim" }, when(latest.created_at).text), h("span", { class: "spread" }), ask[0]),
+      ask[1],
       h("table", { class: "table g-lines" }, h("thead", {}, h("tr", {}, h("th", { "data-term": "gap_far" }, "Gap, × noise"), h("th", { class: "num" }, "before"), h("th", { class: "num" }, "after"), h("th", { class: "num", "data-term": "gap_floor" }, "floor"))), h("tbody", {}, rows)),
       rest.length ? h("details", {}, h("summary", { class: "dim" }, `${rest.length} earlier`), h("ul", { class: "imu-notes" }, rest.map((d) => h("li", {}, h("a", { href: `/diagnoses/${d.id}` }, d.name), " ", chip(d), h("span", { class: "dim" }, ` ${d.headline}, ${when(d.created_at).text}`))))) : "",
     ];
