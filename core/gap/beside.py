@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from core.errors import ParameterError
+from core.gap.floor import FALLBACK, stated
 from core.gap.reference import WINDOW, restarts_of
 from core.gap.searched import searched
 from core.robot import EffectSet, Noise
@@ -48,7 +50,7 @@ def against(runs: Sequence[Run], simulators: Foreign | Sequence[Foreign], seed: 
             found=len(each),
         )
     made = [_made(run, one, seed + k) for k, (run, one) in enumerate(zip(runs, each, strict=True))]
-    known = searched(made, {}, WINDOW).found.model
+    known = searched([_noisy(run, seed + k) for k, run in enumerate(made)], {}, WINDOW).found.model
     return [_seen_from(run, one, known) for run, one in zip(runs, made, strict=True)], known
 
 
@@ -69,6 +71,39 @@ def _made(run: Run, foreign: Foreign, seed: int) -> Run:
     return Run(meta=bare, commands=run.commands, truth=made.truth, **streams)
 
 
+def _noisy(made: Run, seed: int) -> Run:
+    """With the stated noise on its readings, so that a simulator without any is no more than just as good."""
+    rng = np.random.default_rng([seed, 5])
+    sheet = {**FALLBACK, **stated(made)}
+    streams: dict[str, Any] = {}
+    for stream, names in (("imu", "gz ax ay"), ("beacon", "x y theta"), ("ranges", "range"), ("truth", "x y theta")):
+        log = getattr(made, stream)
+        columns = {} if log is None else {name: getattr(log, name) for name in names.split()}
+        louder = {
+            name: values + sheet.get(f"{stream}.{name}", QUIET) * (QUIET_TRUTH if stream == "truth" else 1.0)
+            * rng.standard_normal(len(values))
+            for name, values in columns.items()
+            if values is not None
+        }  # fmt: skip
+        if log is not None:
+            streams[stream] = dataclasses.replace(log, **louder)
+    if made.wheels is not None and made.meta.robot.ticks_per_rev:
+        tick = 2.0 * np.pi / made.meta.robot.ticks_per_rev
+        left, right = (tick * np.floor(getattr(made.wheels, side) / tick) for side in ("left", "right"))
+        streams["wheels"] = dataclasses.replace(made.wheels, left=left, right=right)
+    return dataclasses.replace(made, **streams)
+
+
+QUIET, QUIET_TRUTH = 0.05, 0.3
+"""Noise of a fix that states none [m, rad]; share of a reference's stated noise that it shows."""
+
+
+def _rounded(wheels: WheelLog, ticks: float) -> bool:
+    """Whether encoders count whole ticks."""
+    count = np.asarray(wheels.left, dtype=np.float64) * ticks / (2.0 * np.pi)
+    return bool(np.nanmax(np.abs(count - np.round(count)), initial=0.0) < 1e-3)
+
+
 def _seen_from(run: Run, made: Run, known: EffectSet) -> Run:
     """The run less what the simulator makes otherwise than ours with what is known of it."""
     meta = dataclasses.replace(run.meta, effects=known)
@@ -82,7 +117,7 @@ def _seen_from(run: Run, made: Run, known: EffectSet) -> Run:
             for side in ("left", "right")
         )
         wheels = WheelLog(t=wheels.t, left=left, right=right)
-        if robot.ticks_per_rev:  # rounding of both
+        if robot.ticks_per_rev and _rounded(made.wheels, robot.ticks_per_rev):  # rounding of both
             robot = dataclasses.replace(robot, ticks_per_rev=robot.ticks_per_rev / float(np.sqrt(2.0)))
     if imu is not None and made.imu is not None and ours.imu is not None:
         imu, noise = _imu(imu, made.imu, ours.imu, noise)

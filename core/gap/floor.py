@@ -24,6 +24,8 @@ THIRD = np.sqrt(20.0)
 """Standard deviation of a third difference of unit white noise."""
 SATURATED = 5
 """A largest reading that comes more often is a sensor's limit."""
+NOTHING = 1e-12
+"""Variance of readings without any noise, in squares of their floor."""
 FEW = 30
 """Fewer third differences than this say nothing of the noise."""
 FALLBACK = {"imu.gz": 2e-3, "imu.ax": 0.05, "imu.ay": 0.05, "ranges.range": 0.05, "beacon.theta": 0.05}
@@ -162,7 +164,7 @@ def _vibration(
             inside = (rates >= a) & (rates <= b)
             n = int(inside.sum())
             if n >= FEW:
-                level = (float(np.median(np.abs(square[inside]))) / NORMAL_MEDIAN) ** 2
+                level = max((float(np.median(np.abs(square[inside]))) / NORMAL_MEDIAN) ** 2, NOTHING)
                 row = [0.0, 0.0, float(np.mean(rates[inside] ** 2))]
                 row[axis] = 1.0
                 design.append(row)
