@@ -112,6 +112,7 @@ def _allan(options: argparse.Namespace) -> int:
         raise MissingStreamError(f"the run has no imu.{axis}", missing=f"imu.{axis}")
     curve = allan(run.imu.t, values)
     notes, fit = curve.notes, None
+    notes += _about(axis, values)
     if axis.startswith("g"):
         notes += degrees(run.imu.t, values, rested=True)
     try:
@@ -125,6 +126,20 @@ def _allan(options: argparse.Namespace) -> int:
     if options.json:
         write_json(options.json, allan_json(f"imu.{axis}", curve, fit))
     return OK
+
+
+def _about(axis: str, values: Any) -> tuple[str, ...]:
+    """What the readings say against themselves."""
+    import numpy as np
+
+    from core.imu.oddities import RESTLESS, saturated, wander
+
+    times = wander(float(np.nanstd(values)), values)
+    moved = (
+        f"The readings wander by {times:.3g} times their own noise: the record is not at rest, and the curve shows "
+        "that movement. The IMU page takes the readings at rest alone.",
+    )
+    return saturated(values, axis) + (moved if times > RESTLESS else ())
 
 
 def allan_json(axis: str, curve: AllanCurve, fit: NoiseFit | None) -> dict[str, Any]:

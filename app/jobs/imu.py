@@ -24,7 +24,8 @@ from core.errors import CancelledError, DriftscopeError, MissingStreamError, Par
 log = logging.getLogger("driftscope.jobs")
 
 AXES = ("gx", "gy", "gz", "ax", "ay", "az")
-REST_WHOLE = 0.98  # a record at rest for this share is taken as a whole
+REST_WHOLE = 0.98  # a record at rest for this share is taken as a whole,
+MOVED = 1.05  # unless what is not rest widens the readings' deviation by this factor
 KNOWN = 3.0  # times the least deviation of the run: from then on the bias is known, before it is the filter's guess
 REST_LEAST_S = 2.0  # less rest than that says nothing about noise
 Floats = npt.NDArray[np.float64]
@@ -112,7 +113,7 @@ def parts(axes: Sequence[str], methods: Sequence[str] | None, warm: bool) -> Ite
     for axis in axes:
         yield f"segments.{axis}", f"segments of {axis}", partial(segments, axis=axis)
         yield f"allan.{axis}", f"Allan deviation of {axis}", partial(allan, axis=axis)
-    if warm:
+    if warm and (methods is None or set(methods) & {"A", "B", "C"}):
         yield "temperature", "bias against temperature", temperature
 
 
@@ -170,15 +171,17 @@ def allan(case: Case, axis: str) -> Made:
     from core.imu.allan import allan_of
     from core.imu.grid import to_grid
     from core.imu.noise import fit_noise
+    from core.imu.oddities import saturated
     from core.imu.units import degrees
 
     values, t = case.values(axis), case.run.imu.t
     still = case.still()
     share = 0.0 if still is None else float(still.mean())
-    rest_only = share * (t[-1] - t[0]) > REST_LEAST_S and share < REST_WHOLE
+    rest_only = share * (t[-1] - t[0]) > REST_LEAST_S and (share < REST_WHOLE or _moved(values, still))
     record = to_grid(t, values if still is None or not rest_only else np.where(still, values, np.nan))
     curve = allan_of(record)
     notes = [*_told(rest_only, share), *(n for n in curve.notes if not (rest_only and "missing" in n))]
+    notes = [*saturated(values, axis), *notes]
     if axis.startswith("g"):
         notes = [*degrees(t, values, rested=still is None or rest_only), *notes]
     figures: dict[str, Any] = {"tau0": curve.tau0, "duration": curve.duration, "jitter": record.jitter}
@@ -199,9 +202,16 @@ def allan(case: Case, axis: str) -> Made:
     return Made(arrays, figures, notes)
 
 
+def _moved(values: npt.NDArray[np.floating], still: npt.NDArray[np.bool_] | None) -> bool:
+    """Whether the few readings that are not at rest (n,) show more than noise."""
+    if still is None or still.all():
+        return False
+    return bool(np.nanstd(values) > MOVED * np.nanstd(values[still]))
+
+
 def _told(rest_only: bool, share: float) -> list[str]:
     if rest_only:
-        return [f"The robot moved: only its readings at rest, {share:.0%} of all, are used."]
+        return [f"The robot moved: only its readings at rest, {share:.1%} of all, are used."]
     if share < REST_WHOLE:
         return ["Hardly a rest was found: the curve shows the robot's motion, not only the sensor's noise."]
     return []

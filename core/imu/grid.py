@@ -56,7 +56,9 @@ def to_grid(t: Floats, values: npt.NDArray[np.floating], *, window: float = 2.0)
         t, values = t[kept], values[kept]
     n = t.shape[0]
     if n < 9:
-        raise NotEnoughDataError(f"{n} readings are too few for an Allan deviation: at least 9", found=n, expected=9)
+        raise NotEnoughDataError(
+            f"{n} finite readings are too few for an Allan deviation: at least 9", found=n, expected=9
+        )
     step = np.diff(t)
     mean = (t[-1] - t[0]) / (n - 1)
     if float(step.max()) < 1.5 * mean:  # even, or jittered by less than half a step: nothing can be missing

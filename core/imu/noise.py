@@ -127,6 +127,16 @@ def _markov(tau: Floats, time: float) -> Floats:
     return np.where(small, 2 * u * (1 / 3 - u / 4), full)
 
 
+def _markov_slope(tau: Floats, time: float) -> Floats:
+    """Its derivative by the logarithm of the time."""
+    u = tau / time
+    small = u < 1e-2
+    safe = np.where(small, 1.0, u)
+    one, two = np.exp(-safe), np.exp(-2 * safe)
+    full = -2 / safe**2 - (4 * one - 2 * two) / safe**2 + 2 * (3 - 4 * one + two) / safe**3
+    return -u * np.where(small, 2 / 3 - u, full)
+
+
 def _fit(data: _Data, correlation: Floats, terms: Sequence[int], markov_tau: float = 0.0) -> _Model:
     """Least squares over the amplitudes of the terms (and log T where 4 is among them), logarithms inside."""
     from scipy.linalg import solve_triangular
@@ -135,6 +145,7 @@ def _fit(data: _Data, correlation: Floats, terms: Sequence[int], markov_tau: flo
     terms = tuple(terms)
     root = np.sqrt(data.own)
     factor = np.linalg.cholesky((correlation + 0.01 * np.eye(len(root))) * np.outer(root, root))
+    whiten = solve_triangular(factor, np.eye(len(root)), lower=True)
     timed = 4 in terms
     variance = np.exp(data.log_variance)
     # Start where each term alone would touch the data from below.
@@ -144,12 +155,20 @@ def _fit(data: _Data, correlation: Floats, terms: Sequence[int], markov_tau: flo
     def residual(q: Floats) -> Floats:
         basis = _basis(data.tau, float(np.exp(q[-1])) if timed else 0.0)[:, terms]
         model = basis @ np.exp(2 * q[: len(terms)])
-        return np.asarray(solve_triangular(factor, np.log(model) - data.log_variance, lower=True))
+        return np.asarray(whiten @ (np.log(model) - data.log_variance))
+
+    def slopes(q: Floats) -> Floats:
+        squares = np.exp(2 * q[: len(terms)])
+        columns = 2 * _basis(data.tau, float(np.exp(q[-1])) if timed else 0.0)[:, terms] * squares
+        model = columns.sum(axis=1, keepdims=True) / 2
+        if timed:
+            columns = np.column_stack([columns, _markov_slope(data.tau, float(np.exp(q[-1]))) * squares[-1]])
+        return np.asarray(whiten @ (columns / model))
 
     low, high = first - 25.0, first + 12.0
     if timed:
         low[-1], high[-1] = np.log(2 * data.tau0), np.log(data.duration)
-    found = least_squares(residual, first, bounds=(low, high), x_scale=1.0, max_nfev=200)
+    found = least_squares(residual, first, slopes, bounds=(low, high), x_scale=1.0, max_nfev=200)
     p = np.zeros(5)
     p[list(terms)] = np.exp(found.x[: len(terms)])
     covariance = np.linalg.pinv(found.jac.T @ found.jac)

@@ -3,6 +3,7 @@
 
 import { api, query } from "../lib/api.js";
 import { BIAS_METHODS, TRUTH, VERDICTS, axisUnits, biasStyle } from "../lib/bias-methods.js";
+import { number } from "../lib/chart-axes.js";
 import { createChart } from "../lib/chart.js";
 
 const DEG = 180 / Math.PI;
@@ -113,10 +114,21 @@ export function headingChart(host, context) {
   });
 }
 
+const FAR = 8; // times the next largest error: such a method would press all others flat
+
+// Methods whose error would hide the others': they are drawn, but do not widen the axis, and their label says how far they go.
+function offScale(methods) {
+  const known = methods.filter((m) => m.summary?.max_rad > 0).sort((a, b) => a.summary.max_rad - b.summary.max_rad);
+  const first = known.findIndex((m, k) => k > 0 && m.summary.max_rad > FAR * known[k - 1].summary.max_rad && m.summary.max_rad * DEG > 10);
+  return new Map(first < 0 ? [] : known.slice(first).map((m) => [m.method, m.summary.max_rad * DEG]));
+}
+
 /** Fig. 7: heading error of each method, with what the one in focus claims. */
 export function errorChart(host, context) {
   const { imu, state } = context;
   const focus = state.focus();
+  const far = offScale(imu.methods);
+  const drawn = lines(context, "error").map((s) => (far.has(s.key) ? { ...s, scale: false, label: `${s.label} (off scale, to ${number(far.get(s.key))}°)` } : s));
   return createChart(host, {
     ...common(context, "imu-error"),
     title: "Heading error",
@@ -124,7 +136,7 @@ export function errorChart(host, context) {
     unit: "°",
     siUnit: "rad",
     siFactor: 1 / DEG,
-    series: lines(context, "error"),
+    series: drawn,
     bandFor: (visible) => visible.find((m) => m === focus) ?? visible[0],
     onToggle: (key) => state.toggleBias(key),
     async load(wish) {

@@ -90,7 +90,20 @@ def test_allan_asks_about_degrees(tmp_path: Path, capsys: pytest.CaptureFixture[
         run = Run(imu=ImuLog(np.arange(5000) / 50, scale * rate))
         write_run(run, tmp_path / name, "folder-csv")
         assert main(["allan", str(tmp_path / name)]) == 0
-        assert ("deg/s" in capsys.readouterr().err) == (name == "degrees")
+        told = capsys.readouterr().err
+        assert ("deg/s" in told) == (name == "degrees")
+        assert "not at rest" not in told
+        assert "saturated" not in told
+
+
+def test_allan_tells_movement_and_saturation(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    t = np.arange(3000) / 50
+    rate = np.clip(6 * np.sin(t) + 2e-3 * np.random.default_rng(1).standard_normal(3000), -4.36, 4.36)
+    write_run(Run(imu=ImuLog(t, rate)), tmp_path / "turning", "folder-csv")
+    assert main(["allan", str(tmp_path / "turning")]) == 0
+    told = capsys.readouterr().err
+    assert "the record is not at rest" in told
+    assert "limits, -4.36 and 4.36 rad/s: the gyro was saturated" in told
 
 
 @pytest.mark.parametrize(

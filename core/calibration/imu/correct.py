@@ -141,7 +141,7 @@ def judge_correction(run: Run, calibration: ImuCalibration, *, window: int = WIN
     found, left, notes = stretches([run])
     resting = [s for s in found if s.still]
     if not resting:
-        reasons = "; ".join([str(item) for item in left[:3]] + notes[:2])
+        reasons = "; ".join([str(item) for item in left[:3]] + notes[:2]) or "every segment turns"
         raise NotEnoughDataError(f"no stretch of the run rests: {reasons}", method="correct")
     longest = max(resting, key=lambda s: float(s.count.sum()))
     t = np.asarray(imu.t, np.float64)

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from core.calibration.imu.algorithm1 import AXES
+from core.imu.oddities import RESTLESS
 from core.imu.stamps import in_order
 from core.robot import Segment
 from core.run import Run
@@ -180,6 +181,8 @@ def _stretch(r: int, k: int, kind: str, segment: Segment, t: Floats, values: Flo
     if share < LEAST_SHARE or good.sum() < LEAST:
         what = "it is not at rest" if still else "the rate is not steady"
         return f"{what}: only {share:.0%} of the time holds one level"
+    if still and (name := _restless(cut[good], level)):
+        return f"it is not at rest: within half a second {name}'s readings wander far beyond their own noise"
     group = _groups(good, max(2, int(np.ceil(total / (size * step) / BLOCKS))))
     first = np.flatnonzero(np.diff(group, prepend=-1))
     last = np.append(first[1:], len(group)) - 1
@@ -202,6 +205,13 @@ def _stretch(r: int, k: int, kind: str, segment: Segment, t: Floats, values: Flo
         quantum=_quantum(cut[good]),
         limit=_at_limit(cut[good]),
     )
+
+
+def _restless(cut: Floats, level: Floats) -> str:
+    """The axis whose pieces' variance (`level`) is far beyond that from reading to reading; "" where there is none."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        times = np.sqrt(level / (np.diff(cut, axis=1) ** 2).mean(axis=(0, 1)) * 2)
+    return AXES[int(np.nanargmax(times))] if (times > RESTLESS).any() else ""
 
 
 def _moments(cut: Floats) -> tuple[Floats, Floats, Floats, Floats]:

@@ -26,6 +26,7 @@ from core.imu.bias.result import (
     BiasEstimate,
     SegmentVerdicts,
 )
+from core.imu.oddities import RESTLESS, wander
 from core.imu.segments import LENGTH, RANGE_FACTOR, Segments, segments, still_sd
 
 Floats = npt.NDArray[np.float64]
@@ -93,7 +94,13 @@ def _estimate(
 ) -> BiasEstimate:
     """Bias per sample from the segments' verdicts, heading by (4), both on the curve's stamps."""
     taken = np.flatnonzero(verdict == ACCEPTED)
-    notes = () if len(taken) else ("No segment at rest was found: the bias stays 0.",)
+    sigma = still_sd(found)
+    notes: tuple[str, ...] = () if len(taken) else ("No segment at rest was found: the bias stays 0.",)
+    if (times := wander(sigma, gz)) > RESTLESS:
+        notes += (
+            f"Hardly a segment is at rest: even the quietest wander by {times:.3g} times their readings' own noise. "
+            "The bias holds some of the movement.",
+        )
     # Each segment's last accepted one up to it; those before the first accepted take that one.
     last = np.maximum.accumulate(np.where(verdict == ACCEPTED, np.arange(len(verdict)), -1))
     value = np.where(last >= 0, found.mean[np.maximum(last, 0)], found.mean[taken[0]] if len(taken) else 0.0)
@@ -105,7 +112,6 @@ def _estimate(
     drifted = np.concatenate(([0.0], np.cumsum(value * np.diff(edges))))
     theta = turned - np.interp(out, edges, drifted)
     place = np.minimum(np.searchsorted(found.t1, out, "right"), len(found) - 1)
-    sigma = still_sd(found)
     counted = found.count[np.maximum(last, 0)]
     return BiasEstimate(
         method,

@@ -13,6 +13,7 @@ from core.imu.bias.filtered import FilterConfig, best, smoothed
 from core.imu.bias.integral import curve_stamps
 from core.imu.bias.result import ACCEPTED, BiasEstimate, SegmentVerdicts
 from core.imu.bias.segment_methods import SegmentConfig, method_a, method_b, method_c
+from core.imu.oddities import saturated
 from core.imu.stamps import onward, told
 from core.imu.units import degrees
 from core.run import Run
@@ -82,7 +83,7 @@ def track_bias(run: Run, method: str, config: SegmentConfig | FilterConfig | Non
         notes += (f"All {len(imu)} readings are {least:g} rad/s: the gyro may be dead. The bias is taken as that.",)
         return _constant(method, imu, least, notes)
     made = chosen.run(run, imu, config)
-    return replace(made, notes=notes + made.notes + _oddities(imu, least, most, made))
+    return replace(made, notes=notes + made.notes + _oddities(imu, made))
 
 
 def _usable(imu: ImuLog) -> tuple[ImuLog, tuple[str, ...]]:
@@ -108,20 +109,15 @@ def _usable(imu: ImuLog) -> tuple[ImuLog, tuple[str, ...]]:
     return ImuLog(**columns), notes  # type: ignore[arg-type]  # columns() says its names only at run time
 
 
-def _oddities(imu: ImuLog, least: float, most: float, made: BiasEstimate) -> tuple[str, ...]:
+def _oddities(imu: ImuLog, made: BiasEstimate) -> tuple[str, ...]:
     """What the readings' size, limits, repeats and stamps say about them."""
-    from core.imu.bias._blocks_numba import at_limit, longest_repeat
+    from core.imu.bias._blocks_numba import longest_repeat
 
     notes: tuple[str, ...] = ()
     step = float(imu.t[-1] - imu.t[0]) / (len(imu.t) - 1)
     rested = float((made.segments.verdict == ACCEPTED).mean()) > 0.1 and step < SLOWEST
     notes += degrees(imu.t, imu.gz, rested=rested)
-    stuck = at_limit(imu.gz, least, most)
-    if stuck >= 3 and most - least > 0.2:
-        notes += (
-            f"{stuck} readings sit at the record's limits, {least:.4g} and {most:.4g} rad/s: "
-            "the gyro was saturated, and what it turned meanwhile is lost.",
-        )
+    notes += saturated(imu.gz, "gz")
     repeats = longest_repeat(imu.gz)
     if repeats * step > DEAD and repeats > 100:
         notes += (f"For {repeats * step:.3g} s all readings are equal: the gyro may have been dead.",)
