@@ -16,7 +16,6 @@ if TYPE_CHECKING:  # `mujoco_robot` is imported alone, by the process that holds
     from app.settings import Settings
 
 LOADED = "examples.txt"  # in the data folder: names of those that were loaded
-DIAGNOSED = "simulated-mission"  # so that a new store has a report to read
 
 
 @contextlib.asynccontextmanager
@@ -37,12 +36,7 @@ def load_examples(settings: Settings, jobs: JobEngine) -> list[str]:
         jobs.submit(
             "ingest",
             None,
-            {
-                "path": str(folder.resolve()),
-                "options": {"file_name": folder.name},
-                "is_example": True,
-                "diagnose": folder.name == DIAGNOSED,
-            },
+            {"path": str(folder.resolve()), "options": {"file_name": folder.name}, "is_example": True},
         )
         for folder in new
     ]

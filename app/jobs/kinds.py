@@ -52,8 +52,6 @@ def _ingest_arguments(session: Session, settings: Settings, job: Job) -> dict[st
 def _ingest_save(session: Session, settings: Settings, job: Job, manifest: dict[str, Any]) -> Saved:
     run = runs.add_run(session, manifest, is_example=bool(job.params.get("is_example")))
     following = jobs.first_jobs(session, run.id)
-    if job.params.get("diagnose"):
-        following.append(jobs.create(session, "diagnose", run.id, diagnosis_params([run.id])))
     return Saved({"run_id": run.id}, f"stored as {run.name}", run.id, following)
 
 
