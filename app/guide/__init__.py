@@ -22,6 +22,7 @@ PAGES: dict[str, str] = {
     "start": "Start here",
     "pages": "The pages and their keys",
     "monitor": "Live: watching and driving a robot",
+    "live": "Live: connecting a robot",
     "ros": "ROS 2 into the dashboard, without ROS",
     "methods": "Methods: where each path comes from",
     "published": "The published system, as we read it",
