@@ -30,16 +30,16 @@ from tests.plants.gap_plant import OUTSIDE, Plan, drive, record, robot  # noqa: 
 Spans = list[tuple[float, float]]
 
 REGIME = {
-    "accelerating": "command_delay motor_lag accel_limit wheel_slip accel_scale imu_yaw imu_clock",
-    "moving": "drive_gain wheel_radius unequal_wheels vibration missed_ticks beacon_delay left_motor encoder_wobble",
+    "accelerating": "command_delay motor_lag accel_limit wheel_slip accel_scale imu_yaw imu_clock load_play",
+    "moving": "drive_gain wheel_radius unequal_wheels vibration missed_ticks beacon_delay left_motor encoder_wobble resonance",
     "turning": "track_width gyro_scale imu_offset gyro_sign",
-    "early to late": "battery_sag gyro_drift gyro_walk gyro_temperature clock_drift fix_drift",
-    "turning while moving": "side_slip gyro_g_sensitivity",
-    "place": "slip_patch beacon_shadow anchor_moved",
-    "heading": "floor_tilt tag_offset headwind",
+    "early to late": "battery_sag gyro_drift gyro_walk gyro_temperature clock_drift fix_drift fix_clock sag_rest",
+    "turning while moving": "side_slip gyro_g_sensitivity gyro_fade",
+    "place": "slip_patch beacon_shadow anchor_moved ramp",
+    "heading": "floor_tilt tag_offset headwind heading_echo",
     "always": "gyro_bias gyro_noise accel_bias beacon_shift beacon_rotation beacon_scale beacon_noise beacon_outliers "
     "range_bias long_anchor",
-    "fast": "speed_limit caster",
+    "fast": "speed_limit caster drag",
     "slow": "deadband",
     "fast turning": "gyro_clip gyro_cubic",
     "time": "bump",
