@@ -184,7 +184,8 @@ def _finish(wheels: Found | None, body: Found, tried: Sequence[Candidate]) -> Se
         acting = [c for c in acting if c.effect != "missed_ticks"]
         body = search(dataclasses.replace(body.problem, floor=floor), acting, "body")
         rests["body"] = rest_of(body.problem, body.fit)
-    noises = scatters(body.problem, body.fit.model, list(body.problem.known))
+    whole = with_trifles(body.problem, body.fit)
+    noises = scatters(with_floor(body.problem, whole), whole, list(body.problem.known))
     if walk is not None and "gyro_walk" not in body.problem.known:
         noises.append(walk)
     if wheels is not None:

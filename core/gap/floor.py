@@ -26,6 +26,10 @@ SATURATED = 5
 """A largest reading that comes more often is a sensor's limit."""
 NOTHING = 1e-12
 """Variance of readings without any noise, in squares of their floor."""
+COARSE, TRIM, TRIMMED = 0.3, 3.0, 0.9733
+"""Rounding beyond this share of the noise is coarse; then the variance within so many sigma, and what share that is."""
+EDGE, KEPT = 5e-4, 0.4
+"""Where a signal moves by more than the noise in this time [s] its differences show timing; so much must be left."""
 FEW = 30
 """Fewer third differences than this say nothing of the noise."""
 FALLBACK = {"imu.gz": 2e-3, "imu.ax": 0.05, "imu.ay": 0.05, "ranges.range": 0.05, "beacon.theta": 0.05}
@@ -45,6 +49,7 @@ class Floor:
     sd: Mapping[str, float]
     sheet: Mapping[str, float]
     vibration: float = 0.0
+    vibration_sd: float = 0.0
     walk: float = 1e-5
     gyro_walk: float = 0.0
 
@@ -77,6 +82,9 @@ def stated(run: Run) -> dict[str, float]:
 
 def third_differences(world: World, name: str, residual: Array) -> Array:
     """Third differences in units of the noise; of ranges, each beacon's own; of a saturated gyro, the rest."""
+    if name in ("imu.ax", "imu.ay"):
+        calm = _calm(world, name, residual)
+        return np.diff(residual, 3)[calm] / THIRD
     if name == "imu.gz":
         size = np.abs(world.readings[name])
         stuck = size >= size.max(initial=0.0) * (1.0 - 1e-9)
@@ -90,6 +98,16 @@ def third_differences(world: World, name: str, residual: Array) -> Array:
     far = np.diff(residual[order], 3) / THIRD
     same = beacon[order][3:] == beacon[order][:-3]
     return far[same]
+
+
+def _calm(world: World, name: str, residual: Array) -> npt.NDArray[np.bool_]:
+    """(N - 3,) third differences that no edge of the signal touches."""
+    predicted = world.readings[name] - residual
+    slope = np.abs(np.diff(predicted)) / np.maximum(np.diff(world.times[name]), 1e-6)
+    noise = float(np.median(np.abs(np.diff(residual, 3)))) / NORMAL_MEDIAN / THIRD
+    still = EDGE * slope < 0.3 * noise
+    calm: npt.NDArray[np.bool_] = still[2:] & still[1:-1] & still[:-2]
+    return calm if calm.mean() > KEPT else np.ones(len(calm), dtype=bool)
 
 
 def rounding_of(readings: Array) -> float:
@@ -115,12 +133,16 @@ def measure(worlds: list[World], residuals: Sequence[Mapping[str, Array]], speed
         far = np.concatenate(
             [third_differences(w, name, r[name]) for w, r in zip(worlds, residuals, strict=True) if name in r]
         )
+        coarse = max((rounding_of(w.readings[name]) for w in worlds if name in w.readings), default=0.0)
         if name in WHEELS:
             far = far[far != 0.0]  # a wheel at rest shows no rounding
         if len(far) < FEW:
             sigma[name], sd[name] = sheet.get(name, FALLBACK.get(name, 0.05)), 1.0
             continue
         sigma[name] = float(np.median(np.abs(far))) / NORMAL_MEDIAN
+        if name.startswith("imu") and coarse > COARSE * sigma[name]:  # few levels: a median jumps from one to the next
+            inside = far[np.abs(far) < TRIM * sigma[name]]
+            sigma[name] = float(np.sqrt(np.mean(inside**2) / TRIMMED))
         if name.startswith(("beacon", "ranges")):  # outliers sit in four differences each, but in one residual
             plain = np.concatenate([r[name] for r in residuals if name in r])
             direct = float(np.median(np.abs(plain - np.median(plain)))) / NORMAL_MEDIAN
@@ -130,10 +152,10 @@ def measure(worlds: list[World], residuals: Sequence[Mapping[str, Array]], speed
             rounding = sheet[name] / np.sqrt(2.0)
             sigma[name] = rounding if sigma[name] < 2.0 * rounding else sigma[name]
         sigma[name] = max(sigma[name], 0.05 * sheet.get(name, 0.0), 1e-9)
-    vibration = 0.0
+    vibration = spread = 0.0
     if "imu.ax" in sigma and "imu.ay" in sigma:
-        sigma, vibration = _vibration(worlds, residuals, speeds, sigma)
-    return Floor(sigma=sigma, sd=sd, sheet=sheet, vibration=vibration)
+        sigma, vibration, spread = _vibration(worlds, residuals, speeds, sigma)
+    return Floor(sigma=sigma, sd=sd, sheet=sheet, vibration=vibration, vibration_sd=spread)
 
 
 def _vibration(
@@ -141,7 +163,7 @@ def _vibration(
     residuals: Sequence[Mapping[str, Array]],
     speeds: Sequence[Array | None],
     sigma: dict[str, float],
-) -> tuple[dict[str, float], float]:
+) -> tuple[dict[str, float], float, float]:
     """Accelerometer noise that grows with speed: median squares of differences in classes of speed, a line through."""
     squares, speed = [], []
     for name in ("imu.ax", "imu.ay"):
@@ -149,14 +171,14 @@ def _vibration(
         for world, residual, fast in zip(worlds, residuals, speeds, strict=True):
             if name in residual and fast is not None:
                 far.append(third_differences(world, name, residual[name]))
-                v.append(np.abs(fast[world.keep(name)])[1:-2])
+                v.append(np.abs(fast[world.keep(name)])[1:-2][_calm(world, name, residual[name])])
         if not far:
-            return sigma, 0.0
+            return sigma, 0.0, 0.0
         squares.append(np.concatenate(far))
         speed.append(np.concatenate(v))
     top = max(float(v.max(initial=0.0)) for v in speed)
     if top < 0.05:
-        return sigma, 0.0
+        return sigma, 0.0, 0.0
     edges = np.linspace(0.0, top, 9)
     design, target, weight = [], [], []
     for axis, (square, rates) in enumerate(zip(squares, speed, strict=True)):
@@ -172,9 +194,10 @@ def _vibration(
                 weight.append(np.sqrt(n) / level)
     x, y, w = np.array(design), np.array(target), np.array(weight)
     if len(x) < 4 or np.linalg.matrix_rank(x) < 3:
-        return sigma, 0.0
+        return sigma, 0.0, 0.0
     base_x, base_y, k2 = np.linalg.lstsq(x * w[:, None], y * w, rcond=None)[0]
     cov = np.linalg.inv((x * w[:, None]).T @ (x * w[:, None])) * 1.8
     if k2 <= 4.0 * np.sqrt(cov[2, 2]) or min(base_x, base_y) <= 0.0:
-        return sigma, 0.0
-    return {**sigma, "imu.ax": float(np.sqrt(base_x)), "imu.ay": float(np.sqrt(base_y))}, float(np.sqrt(k2))
+        return sigma, 0.0, 0.0
+    rough = {**sigma, "imu.ax": float(np.sqrt(base_x)), "imu.ay": float(np.sqrt(base_y))}
+    return rough, float(np.sqrt(k2)), float(0.5 * np.sqrt(cov[2, 2] / k2))

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import ndtr
 
 from core.effects import EFFECTS
 from core.gap.candidates import Reach, tolerance
@@ -80,6 +81,19 @@ def is_material(effect: str, values: Mapping[str, float | str], known: EffectSet
     ):
         return float(np.linalg.norm(ratios)) > 1.0
     return max(abs(r) for r in ratios) > 1.0
+
+
+def beyond(effect: str, values: Mapping[str, Value]) -> float:
+    """Probability that a noise effect is larger than its tolerance, by its own standard deviation."""
+    chances = []
+    for parameter in EFFECTS[effect].parameters:
+        one = values.get(parameter.name)
+        if one is None or parameter.small is None or isinstance(one.value, str) or not one.std:
+            continue
+        neutral = float(parameter.neutral)
+        edge = parameter.small - neutral if parameter.small > neutral > 0.0 else parameter.small
+        chances.append(float(ndtr((abs(float(one.value) - neutral) - edge) / one.std)))
+    return max(chances, default=1.0)
 
 
 def odds(found: Found) -> dict[str, dict[str, float]]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from core.gap.candidates import Reach
 from core.gap.explain import Search
-from core.gap.judge import is_material, probabilities, values_of
+from core.gap.judge import beyond, is_material, probabilities, values_of
 from core.gap.leftover import unknown_of
 from core.gap.types import Config, Unexplained, Value
 from core.robot import EffectSet
@@ -54,6 +54,7 @@ def judged(found: Search, reach: Reach, known: EffectSet, config: Config) -> Jud
             noises[one.effect] = plain
     unexplained, doubt = unknown_of(found, material)
     chances = probabilities(found.links, material, doubt)
+    chances |= {name: chances[name] * beyond(name, values[name]) for name in noises if name in chances}
     fitted = {name: model[name] for name in model if name in material and chances.get(name, 0.0) > 0.5}
     small: dict[str, Mapping[str, float | str]] = {name: model[name] for name in model if name not in material}
     small |= {effect: {name: value for name, (value, _) in one.items()} for effect, one in trifles.items()}

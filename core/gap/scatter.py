@@ -90,7 +90,7 @@ def vibration(problem: Problem) -> Scatter | None:
     k = problem.floor.vibration
     if k <= 0.0:
         return None
-    sd = 0.03 * k + 1e-3
+    sd = max(problem.floor.vibration_sd, 0.03 * k)
     return Scatter("vibration", {"k": (k, sd)}, (k / sd) ** 2)
 
 
@@ -147,6 +147,7 @@ def gyro_left(problem: Problem, fit: Fit) -> list[tuple[Array, Array]]:
     for world, one in zip(problem.worlds, white, strict=True):
         if "imu.gz" in one:  # at its clip a gyro's noise has one side: that is no offset
             free = np.abs(world.readings["imu.gz"]) < limit
+            free &= np.abs(one["imu.gz"].residual) < FAR  # an edge that is modelled a little late is no walk
             out.append((one["imu.gz"].t[free], one["imu.gz"].residual[free] * sigma))
     return out
 

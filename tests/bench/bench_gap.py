@@ -13,7 +13,7 @@ import json
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,12 +24,17 @@ sys.path.insert(0, str(ROOT))
 from core.formats import read_run  # noqa: E402
 from core.gap import Diagnosis, diagnose  # noqa: E402
 from core.gap.candidates import candidates  # noqa: E402
+from core.gap.checks import check_runs  # noqa: E402
+from core.gap.conclude import SURE_NONE  # noqa: E402
 from core.gap.floor import Floor  # noqa: E402
+from core.gap.judged import judged  # noqa: E402
+from core.gap.leftover import chance_of_unknown  # noqa: E402
 from core.gap.linear import Problem, linearise, with_floor  # noqa: E402
 from core.gap.reference import restarts_of  # noqa: E402
-from core.gap.searched import reach_of  # noqa: E402
+from core.gap.searched import reach_of, searched  # noqa: E402
 from core.gap.selection import gains_of  # noqa: E402
 from core.gap.shrink import NOISES, Scored, figures, show  # noqa: E402
+from core.gap.types import Cause, Config, Immaterial, Unexplained  # noqa: E402
 from core.gap.world import make_world  # noqa: E402
 from core.run import Run  # noqa: E402
 from tests.plants.gap_draws import draw, plans  # noqa: E402
@@ -78,10 +83,40 @@ def oracle(held: Run, answer: Effects) -> float | None:
     return figures(scored, problem.floor, noises, 0)[0].shrink
 
 
-def score(runs: Sequence[Run], held: Run, answer: Effects, outside: bool, baselines: bool) -> tuple[Row, Diagnosis]:
+@dataclass(frozen=True)
+class Brief:
+    """What was identified, without scores and evidence."""
+
+    causes: tuple[Cause, ...]
+    probabilities: dict[str, float]
+    unexplained: Unexplained | None
+    immaterial: tuple[Immaterial, ...]
+    verdict: str
+
+
+def identify(runs: Sequence[Run]) -> Brief:
+    """The part of a diagnosis that names causes."""
+    config = Config()
+    check_runs(runs, ())
+    known = runs[0].meta.effects
+    one = searched(runs, known, config.window)
+    said = judged(one.found, one.reach, known, config)
+    causes = tuple(Cause(name, p, 0.0, said.values.get(name, {})) for name, p in said.chances.items())
+    causes = tuple(sorted(causes, key=lambda c: -c.probability))
+    sure = any(c.probability > 0.5 for c in causes)
+    strange = max(chance_of_unknown(one.found), *said.doubt.values(), 0.0)
+    chances = {"unknown": strange, "none": 0.0 if sure or said.unexplained else SURE_NONE * (1.0 - strange)}
+    verdict = ("explained" if sure else "none") if said.unexplained is None else "partly" if sure else "unknown"
+    small = tuple(Immaterial(name, {}) for name in one.found.trifles)
+    return Brief(causes, chances, said.unexplained, small, verdict)
+
+
+def score(
+    runs: Sequence[Run], held: Run, answer: Effects, outside: bool, baselines: bool, brief: bool
+) -> tuple[Row, Diagnosis | Brief]:
     """Figures of one case, and what was found."""
     began = time.process_time()
-    found = diagnose(runs, held_out=[held])
+    found = identify(runs) if brief else diagnose(runs, held_out=[held])
     row: Row = {"cpu_s": time.process_time() - began, "unknown": found.probabilities.get("unknown", 0.0)}
     ranked = sorted(found.causes, key=lambda one: -one.probability)
     named = {one.effect for one in ranked if one.probability > 0.5}
@@ -96,12 +131,14 @@ def score(runs: Sequence[Run], held: Run, answer: Effects, outside: bool, baseli
         row["F1"] = 2 * len(named & true) / (len(named) + len(true))
         if baselines:
             row["alone"] = float(alone(runs) in true)
-        stream = found.where[0].stream if found.where else "-"
-        row["loudest"] = float(USUAL.get(stream, USUAL.get(stream.split(".")[0], "-")) in true)
-        best = oracle(held, answer)
-        if best is not None and best > 0.05 and found.gap.shrink is not None:
-            row["shrunk"] = found.gap.shrink / best
-    row["harm"] = float(found.gap.total.after > 1.002 * found.gap.total.before and bool(named))
+    if isinstance(found, Diagnosis):
+        if true:
+            stream = found.where[0].stream if found.where else "-"
+            row["loudest"] = float(USUAL.get(stream, USUAL.get(stream.split(".")[0], "-")) in true)
+            best = oracle(held, answer)
+            if best is not None and best > 0.05 and found.gap.shrink is not None:
+                row["shrunk"] = found.gap.shrink / best
+        row["harm"] = float(found.gap.total.after > 1.002 * found.gap.total.before and bool(named))
     errors = [
         (float(c.parameters[n].value) - float(v)) / (c.parameters[n].std or np.inf)
         for c in found.causes
@@ -140,7 +177,7 @@ def cases(stratum: str, seeds: range) -> Iterator[Case]:
         yield [record(plan) for plan in fit], record(held), answer, label
 
 
-def told(found: Diagnosis) -> str:
+def told(found: Diagnosis | Brief) -> str:
     """A case's answer in a line."""
     sure = [f"{c.effect} {c.probability:.2f}" for c in found.causes if c.probability > 0.05]
     rest = found.unexplained.description if found.unexplained else ""
@@ -157,7 +194,7 @@ def calibration(rows: Sequence[dict]) -> float:
     return float(sum(abs((p - hit)[number == k].sum()) for k in range(10)) / len(p))
 
 
-def pairs(found: Diagnosis, answer: Effects, outside: bool) -> list[tuple[float, float]]:
+def pairs(found: Diagnosis | Brief, answer: Effects, outside: bool) -> list[tuple[float, float]]:
     """(probability, truth) of every cause told over 0.01, of "none" and of "unknown"."""
     out = [(c.probability, float(c.effect in answer)) for c in found.causes if c.probability > 0.01]
     listed = {c.effect for c in found.causes}
@@ -203,6 +240,7 @@ def main() -> None:
     options.add_argument("--strata", default=",".join(STRATA))
     options.add_argument("--shared", type=Path, help="the folder of gap cases with answers")
     options.add_argument("--lines", type=Path, help="a JSON line per case is added here")
+    options.add_argument("--brief", action="store_true", help="identification only: no held-out score, no evidence")
     options.add_argument("--bare", action="store_true", help="without the baselines that cost time")
     options.add_argument("--read", type=Path, help="only the table, of lines written before")
     chosen = options.parse_args()
@@ -213,7 +251,7 @@ def main() -> None:
 
     def add(stratum: str, case: Case, outside: bool) -> None:
         runs, held, answer, label = case
-        row, found = score(runs, held, answer, outside, not chosen.bare)
+        row, found = score(runs, held, answer, outside, not chosen.bare, chosen.brief)
         line = {"stratum": stratum, "label": label, "outside": outside, "row": row}
         line |= {"answer": {name: dict(values) for name, values in answer.items()}, "told": told(found)}
         line["pairs"] = pairs(found, answer, outside)

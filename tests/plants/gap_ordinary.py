@@ -34,7 +34,7 @@ def drawn_rig(seed: int) -> Rig:
     return Rig(
         commands=float(rng.choice([10.0, 20.0, 50.0])),
         wheels=float(rng.choice([25.0, 50.0, 100.0])),
-        imu=float(rng.choice([50.0, 100.0, 200.0, 400.0], p=[0.2, 0.5, 0.2, 0.1])),
+        imu=float(rng.choice([50.0, 100.0, 200.0], p=[0.2, 0.6, 0.2])),
         fixes=float(rng.choice([4.0, 10.0, 20.0])),
         ranges=float(rng.choice([10.0, 20.0, 40.0])),
         truth=float(rng.choice([20.0, 50.0, 100.0])),
