@@ -29,6 +29,8 @@ UNITS = {
 ROUND = ("heading", "left wheel angle", "right wheel angle")
 """Regressors that come back after a turn."""
 BINS = 20
+MOST = 200_000
+"""At most so many samples of a run are looked at, evenly taken."""
 PART = 10.0
 """Length of the blocks of the bootstrap [s]."""
 PREFERRED = 0.97
@@ -74,6 +76,8 @@ def samples(
             step = np.maximum(np.diff(t), 1e-6)
             same = np.diff(window_of(world, stream)) == 0
             block, t, keep = np.diff(block, axis=1) / step, t[1:], same
+        thin = -(-len(t) // MOST)
+        block, t, keep = block[:, ::thin], t[::thin], keep[::thin]
         values.append(block[:, keep])
         rows.append({name: column[keep] for name, column in _regressors(world, moves, t).items()})
         parts.append((t[keep] / PART).astype(np.int64) + first)

@@ -119,7 +119,9 @@ def show(world: World, small: EffectSet, causes: EffectSet, floor: Floor) -> Sho
     for one in (small, whole, *alone):
         if one not in sets:
             sets.append(one)
-    found = replay(world, sets, floor)
+    inputs, found = replay_inputs(world), []
+    for batch in world.batches(len(sets)):
+        found += replay(world, [sets[k] for k in batch], floor, inputs)
     return Shown(
         found[0], found[sets.index(small)], found[sets.index(whole)], tuple(found[sets.index(one)] for one in alone)
     )

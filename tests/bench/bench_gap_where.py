@@ -31,7 +31,8 @@ Spans = list[tuple[float, float]]
 
 REGIME = {
     "accelerating": "command_delay motor_lag accel_limit wheel_slip accel_scale imu_yaw imu_clock load_play",
-    "moving": "drive_gain wheel_radius unequal_wheels vibration missed_ticks beacon_delay left_motor encoder_wobble resonance",
+    "moving": "drive_gain wheel_radius unequal_wheels vibration missed_ticks beacon_delay left_motor encoder_wobble "
+    "resonance",
     "turning": "track_width gyro_scale imu_offset gyro_sign",
     "early to late": "battery_sag gyro_drift gyro_walk gyro_temperature clock_drift fix_drift fix_clock sag_rest",
     "turning while moving": "side_slip gyro_g_sensitivity gyro_fade",
