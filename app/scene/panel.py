@@ -27,19 +27,24 @@ class Panel:
         gui, self._change, self._last = handle.gui, change, 0.0
         gui.set_panel_label(data.name[:40])
         gui.main_panel.dock_right()
-        span = max(data.t1 - data.t0, 1e-3)
-        self._time = gui.add_slider("time / s", data.t0, data.t0 + span, max(span / 5000, 1e-3), data.t0)
-        self._play = gui.add_checkbox("play", cursor.playing)
-        self._speed = gui.add_dropdown("speed ×", SPEEDS, initial_value="1")
+        self._time: viser.GuiSliderHandle[float] | None = None
+        if not data.live:  # a run that goes on shows its newest moment, and no other
+            self._add_time(gui, data, cursor)
         self._follow = gui.add_checkbox("follow", cursor.follow)
         labels = {path.method: path.label for path in data.paths} | ({FIXES: "Beacon fixes"} if len(data.fixes) else {})
         self._methods = {method: gui.add_checkbox(label, True) for method, label in labels.items()}
-        self._bind(self._time, lambda: {"t": float(self._time.value)})
-        self._bind(self._play, lambda: {"playing": bool(self._play.value)})
-        self._bind(self._speed, lambda: {"speed": float(self._speed.value)})
         self._bind(self._follow, lambda: {"follow": bool(self._follow.value)})
         for box in self._methods.values():
             self._bind(box, lambda: {"methods": tuple(m for m, b in self._methods.items() if b.value)})
+
+    def _add_time(self, gui: viser.GuiApi, data: SceneData, cursor: Cursor) -> None:
+        span = max(data.t1 - data.t0, 1e-3)
+        time_s = self._time = gui.add_slider("time / s", data.t0, data.t0 + span, max(span / 5000, 1e-3), data.t0)
+        play = self._play = gui.add_checkbox("play", cursor.playing)
+        speed = gui.add_dropdown("speed ×", SPEEDS, initial_value="1")
+        self._bind(time_s, lambda: {"t": float(time_s.value)})
+        self._bind(play, lambda: {"playing": bool(play.value)})
+        self._bind(speed, lambda: {"speed": float(speed.value)})
 
     def _bind(self, widget: Any, change: Callable[[], dict[str, Any]]) -> None:
         async def changed(event: viser.GuiEvent[Any]) -> None:
@@ -50,11 +55,13 @@ class Panel:
 
     def show(self, cursor: Cursor, t: float) -> None:
         """Widgets to where the cursor is; the slider only a few times a second."""
-        shown: list[tuple[Any, Any]] = [(self._play, cursor.playing), (self._follow, cursor.follow)]
+        shown: list[tuple[Any, Any]] = [(self._follow, cursor.follow)]
         shown += [(box, cursor.shows(method)) for method, box in self._methods.items()]
         clock = time.monotonic()
-        if not cursor.playing or clock - self._last > REFRESH:
-            self._last = clock
-            shown.append((self._time, t))
+        if self._time is not None:
+            shown.append((self._play, cursor.playing))
+            if not cursor.playing or clock - self._last > REFRESH:
+                self._last = clock
+                shown.append((self._time, t))
         for widget, value in shown:
             widget.value = value

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from conftest import Server
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, WebSocketRoute, expect
 
 pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("browser")]  # one server and one browser for all of them
 
@@ -96,7 +96,13 @@ def _rests(page: Page) -> bool:
     return way(before, pose(page)) < 0.01
 
 
-def test_a_page_without_its_robot_says_so_and_comes_back_when_the_server_does(page: Page) -> None:
+def test_a_page_without_its_robot_says_so_and_a_broken_connection_comes_back_by_itself(page: Page) -> None:
+    sockets: list[WebSocketRoute] = []
+    page.route_web_socket("**/live/nobody/watch", lambda ws: (sockets.append(ws), ws.connect_to_server()))
+    page.add_init_script(
+        "new MutationObserver(() => (window.states ??= []).push(document.documentElement.dataset.connection))"
+        ".observe(document, { subtree: true, attributeFilter: ['data-connection'] })"
+    )
     page.goto("/live/nobody?view=map&trail=speed")
     expect(page.locator("#verdict")).to_contain_text("No robot called nobody is connected")
     expect(page.locator("#drive-off")).to_have_text("No robot is connected.")
@@ -104,3 +110,7 @@ def test_a_page_without_its_robot_says_so_and_comes_back_when_the_server_does(pa
     expect(page.locator("#scene")).to_be_hidden()
     page.keyboard.press("?")
     expect(page.locator("#help-panel")).to_contain_text("STOP, whoever drives")
+    sockets[0].close()
+    until(page, lambda: len(sockets) == 2)
+    expect(page.locator("#state")).to_have_attribute("data-state", "waiting")
+    assert page.evaluate("window.states") == ["connecting", "open", "lost", "connecting", "open"]
