@@ -15,6 +15,7 @@ from core.estimation.pipeline import METHODS, available, estimate
 from core.formats import read_run
 from core.metrics import evaluate, nees
 from core.run import Run
+from tests.bench.bench_consistency import REFERENCE_CLOCK, REFERENCE_SD
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -29,18 +30,16 @@ def runs_of(folder: Path) -> dict[str, list[Path]]:
     return sets
 
 
-REFERENCE_SD = {"optiodom": (0.002, 0.002, 0.005), "husky": (0.02, 0.02, 0.01), "plaza": (0.05, 0.05, 0.01)}  # m, rad
-
-
 def judge(run: Run, method: str, name: str) -> tuple[float, ...]:
     """ATE, largest error, largest heading error, share of stamps inside the 95 % ellipse, NEES over its dimension."""
     assert run.truth is not None
     path = estimate(run, method).trajectory
     errors = evaluate(path, run.truth)
     sd = next((v for k, v in REFERENCE_SD.items() if name.startswith(k)), (0.0, 0.0, 0.0))
+    clock = next((v for k, v in REFERENCE_CLOCK.items() if name.startswith(k)), 0.0)
     # Plaza's reference heading is its own gyro's: no judge of a claim.
     truth = dataclasses.replace(run.truth, theta=None) if name.startswith("plaza") else run.truth
-    claim = nees(path, truth, truth_sd=sd)
+    claim = nees(path, truth, truth_sd=sd, truth_clock=clock)
     inside, mean = (claim.inside, claim.mean / claim.dof) if claim else (np.nan, np.nan)
     return tuple(
         np.nan if v is None else v for v in (errors.ate_rmse_m, errors.max_m, errors.heading_max_rad, inside, mean)
