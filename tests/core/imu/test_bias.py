@@ -50,7 +50,8 @@ def test_twelve_hours_with_one_setting() -> None:
             run = made.run()
             assert run.imu is not None
             found = {m: track_bias(run, m) for m in ("best", "smoothed")}
-            found["known"] = known_rests(run, run.imu, made.resting, FilterConfig(), hindsight=False)
+            if name == "lively":
+                found["known"] = known_rests(run, run.imu, made.resting, FilterConfig(), hindsight=False)
             for method, estimate in found.items():
                 errors = heading_errors(estimate, run.truth)
                 assert errors is not None
@@ -63,7 +64,7 @@ def test_twelve_hours_with_one_setting() -> None:
     assert middle["lively best"] < 7.0
     # The gyro's own noise in movement is what remains: knowing every rest is hardly better.
     together = {key: float(np.sqrt(np.mean(np.square(values)))) for key, values in largest.items()}
-    assert together["lively smoothed"] < 1.25 * together["lively known"]
+    assert together["lively smoothed"] < 4.0 / 3.6 * together["lively known"]
 
 
 def test_claimed_deviations_are_honest() -> None:
