@@ -120,6 +120,20 @@ def f1(rows: Sequence[tuple[float, float, float]]) -> str:
     return f"{2 * hit / max(2 * hit + false + missed, 1e-9):6.2f}"
 
 
+def anchored(run: Run) -> np.ndarray:
+    """(N, 3) truth in windows of 2 s, each seen from its own start, less its mean."""
+    log = run.truth
+    assert log is not None and log.x is not None and log.y is not None and log.theta is not None
+    poses = np.column_stack((log.x, log.y, np.unwrap(log.theta)))
+    window = (log.t / 2.0).astype(int)
+    start = poses[np.searchsorted(window, window)]
+    far = poses - start
+    c, s = np.cos(start[:, 2]), np.sin(start[:, 2])
+    far = np.column_stack((c * far[:, 0] + s * far[:, 1], c * far[:, 1] - s * far[:, 0], far[:, 2]))
+    count = np.bincount(window)
+    return np.column_stack([column - (np.bincount(window, column) / count)[window] for column in far.T])
+
+
 def energies(run: Run, bare: Run) -> dict[str, float]:
     """By stream, how far two drives with the same noise differ, in the stated noise, within windows of 2 s."""
     noise, ticks = run.meta.noise, run.meta.robot.ticks_per_rev or 1.0
@@ -128,23 +142,22 @@ def energies(run: Run, bare: Run) -> dict[str, float]:
     sheet |= {"imu.gz": (noise.gyro_density or 1.0) * root, "imu.ax": (noise.accel_density or 1.0) * root}
     sheet |= {"imu.ay": sheet["imu.ax"], "beacon.theta": noise.beacon_theta or 1.0, "beacon": noise.beacon_xy or 1.0}
     out = {}
-    for stream, names in (
-        ("wheels", "left right"),
-        ("imu", "gz ax ay"),
-        ("beacon", "x y theta"),
-        ("truth", "x y theta"),
-    ):
+    paths = [anchored(one) for one in (run, bare)]
+    moved = float(np.abs(paths[0] - paths[1]).max()) > 1e-6
+    for name, far in zip(("x", "y", "theta"), (paths[0] - paths[1]).T, strict=True):
+        out[f"truth.{name}"] = float(np.sum((far / sheet["truth"]) ** 2))
+    for stream, names in (("wheels", "left right"), ("imu", "gz ax ay"), ("beacon", "x y theta")):
         mine, theirs = getattr(run, stream), getattr(bare, stream)
-        if mine is None or len(mine) != len(theirs):
-            continue
+        if mine is None or len(mine) != len(theirs) or (moved and stream == "beacon"):
+            continue  # fixes along another path tell the path, not the cause
         for name in names.split():
             far = np.asarray(getattr(mine, name) - getattr(theirs, name), dtype=float)
-            if stream in ("wheels", "truth"):
+            if stream == "wheels":
                 window = (mine.t / 2.0).astype(int)
                 far = far - (np.bincount(window, far) / np.maximum(np.bincount(window), 1))[window]
             key = f"{stream}.{name}"
             out[key] = float(np.sum((far / sheet.get(key, sheet.get(stream, 1.0))) ** 2))
-    if run.ranges is not None and bare.ranges is not None and len(run.ranges) == len(bare.ranges):
+    if not moved and run.ranges is not None and bare.ranges is not None and len(run.ranges) == len(bare.ranges):
         out["ranges.range"] = float(np.sum(((run.ranges.range - bare.ranges.range) / sheet["ranges"]) ** 2))
     return out
 
