@@ -18,11 +18,11 @@ from core.imu.bias.filtered import settings as settings_of
 from core.imu.bias.result import ACCEPTED, REJECTED_BY_BAND
 from core.run import Run
 from core.sensors import CommandLog, ImuLog, WheelLog
-from tests.plants.gyro import DEG, DEG_H, SCENARIOS, GyroPlant, gyro_plant
+from tests.plants.gyro import DEG, DEG_H, SCENARIOS, VARIATIONS, GyroPlant, gyro_plant
 
 
 def plant(name: str, seed: int, *, hours: float = 12.0, rate: float = 48.0) -> GyroPlant:
-    return gyro_plant(seed, dataclasses.replace(SCENARIOS[name], hours=hours, rate=rate))
+    return gyro_plant(seed, dataclasses.replace((SCENARIOS | VARIATIONS)[name], hours=hours, rate=rate))
 
 
 def still(seconds: float, rate: float = 100.0, *, bias: float = 0.01, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -67,10 +67,11 @@ def test_twelve_hours_with_one_setting() -> None:
     assert together["lively smoothed"] < 4.0 / 3.6 * together["lively known"]
 
 
-def test_claimed_deviations_are_honest() -> None:
+@pytest.mark.parametrize("name", ["paper", "lively, mixed, wide", "lively, MPU6050"])
+def test_claimed_deviations_are_honest(name: str) -> None:
     heading, bias = [], []
-    for seed in range(30, 42):
-        made = plant("paper", seed, hours=2.0, rate=24.0)
+    for seed in range(30, 38):
+        made = plant(name, seed, hours=2.0, rate=24.0)
         estimate = track_bias(made.run(), "best")
         late = estimate.t > 600
         errors = heading_errors(estimate, made.run().truth)
