@@ -12,6 +12,7 @@ from core.estimation.rest import at_rest
 from core.run import Run
 
 FIRST = 1.0  # s of IMU and wheels that are looked at
+FEWEST = 5  # readings of a gyro that is one
 
 
 @dataclass(frozen=True)
@@ -26,14 +27,20 @@ class Rhythm:
 
 
 def rhythm(run: Run, numbers: Assumptions) -> Rhythm | None:
-    """None until the run is FIRST seconds long. Offline these are told from the whole run."""
+    """Told from the first FIRST seconds, however the readings came in; None until they are there. Offline these numbers
+    are told from the whole run."""
     wheels, imu = run.wheels, run.imu
-    if wheels is None or len(wheels) < 5 or wheels.t[-1] - wheels.t[0] < FIRST:
+    if wheels is None or not len(wheels) or wheels.t[-1] - wheels.t[0] < FIRST:
         return None
-    if imu is None or len(imu) < 10:
+    if imu is None or imu.t[0] > wheels.t[0] + FIRST:
         return Rhythm(1.0, 0.0, 0, False)
-    if imu.t[-1] - imu.t[0] < FIRST:
+    end = max(float(wheels.t[0]), float(imu.t[0])) + FIRST
+    if imu.t[-1] < end or wheels.t[-1] < end:
         return None
-    step = np.diff(imu.t, prepend=imu.t[0])
-    sd = at_rest(run, numbers).gyro_sd
-    return Rhythm(sd, longest_hold(step), int(numbers.reaccept * imu.rate / 2), True)
+    first = run.crop(-np.inf, end)
+    assert first.imu is not None
+    if len(first.imu) < FEWEST:
+        return Rhythm(1.0, 0.0, 0, False)
+    step = np.diff(first.imu.t, prepend=first.imu.t[0])
+    sd = at_rest(first, numbers).gyro_sd
+    return Rhythm(sd, longest_hold(step), int(numbers.reaccept * first.imu.rate / 2), True)

@@ -17,6 +17,7 @@ from app.jobs import kinds
 from app.live import run as live_run
 from app.main import create_app
 from app.settings import Settings
+from core.live import LiveEstimator
 from core.live.pieces import pieces
 from core.run import Run
 from core.simulation import simulate
@@ -295,3 +296,25 @@ def test_pages_elsewhere_and_those_without_the_token_get_no_connection(tmp_path:
                     pass
         with client.websocket_connect(f"{API}/mill/watch", headers=good) as viewer:
             assert heard(viewer, "snapshot")["state"] == "waiting"
+
+
+def test_several_robots_at_once_lose_nothing_and_are_estimated_as_each_alone(client: TestClient) -> None:
+    with client.websocket_connect(f"{API}/fleet2/watch") as viewer:
+        fleet = {f"fleet{k}": join(client, f"fleet{k}", hello(RUN, f"f{k}")) for k in range(4)}
+        for n, piece in enumerate(PARTS[:40]):
+            for socket in fleet.values():
+                socket.send_text(json.dumps(batch(n, piece)))
+        for socket in fleet.values():
+            heard(socket, "ack", n=39)
+        pose: dict[str, Any] = {}
+        while pose.get("t", 0.0) < 3.99:
+            pose = heard(viewer, "update")["poses"].get("fused", pose)
+    alone = LiveEstimator(RUN.meta)
+    path = [made.paths["fused"] for piece in PARTS[:40] if "fused" in (made := alone.feed(piece)).paths][-1]
+    assert path.covariance is not None
+    expected = {"t": path.t, "x": path.x, "y": path.y, "theta": path.theta, "sd_x": np.sqrt(path.covariance[:, 0, 0])}
+    assert {k: pose[k] for k in expected} == pytest.approx({k: float(v[-1]) for k, v in expected.items()}, abs=1e-9)
+    rows = {r["robot"]: r for r in client.get(API).json()["items"]}
+    for name in fleet:
+        assert rows[name]["rows"]["imu"] == 400 and rows[name]["quality"]["loss"] == 0.0
+        client.post(f"{API}/{name}/end")
