@@ -67,7 +67,7 @@ THEME: dict[str, Theme] = {
     "dark": Theme(ink=(233, 236, 239), cell=(54, 60, 66), section=(88, 97, 106), wheel=(150, 158, 166)),
 }
 
-GAP = ((140, 150, 158), (251, 211, 161), (251, 211, 161), (244, 172, 101), (226, 128, 58), (184, 84, 26), (125, 47, 7))
+GAP = ((140, 150, 158), (224, 160, 96), (232, 148, 66), (226, 124, 40), (206, 92, 22), (160, 60, 10), (104, 34, 4))
 """Colours of a path by the gap over its floor: the steps of `app.figures.gap.LEVELS`."""
 
 # Whose robot the camera follows, and which one stands solid: the best claim first.

@@ -24,6 +24,7 @@ from app.scene.style import GAP, THEMES, primary, slug
 
 TICK = 1 / 30  # s
 OVERLAY, SIMULATED = (124, 91, 176), (128, 138, 148)
+RAISED = 0.02  # of the scene: how high a path by the gap floats
 Listener = Callable[[dict[str, Any]], None]
 
 
@@ -157,8 +158,10 @@ class Client:
         """Paths that are not stored, as a page lays them in; those of the same name go."""
         scene = self.handle.scene
         for name, overlay in overlays.items():
-            layer = len(self._data.paths) + (1.0 if overlay.levels is not None else 4.0)
-            points = np.column_stack((overlay.x, overlay.y, np.full(len(overlay.x), self._sizes.level(layer))))
+            height = self._sizes.level(len(self._data.paths) + 3)
+            if overlay.levels is not None:  # above all paths, or it would flicker through those that it lies on
+                height = self._sizes.extent.size * RAISED
+            points = np.column_stack((overlay.x, overlay.y, np.full(len(overlay.x), height)))
             pieces = np.stack((points[:-1], points[1:]), axis=1)
             colours: Any = SIMULATED if name == "simulated" else OVERLAY
             if overlay.levels is not None:

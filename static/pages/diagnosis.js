@@ -10,7 +10,7 @@ import { mountRun } from "./diagnosis-run.js";
 
 const { diagnosis, evidence, targets } = pageData();
 const params = new URLSearchParams(location.search);
-const runs = (evidence?.runs ?? []).map((one, i) => ({ ...one, id: diagnosis.runs[i]?.id, stored: diagnosis.runs[i]?.stored })).filter((one) => one.path || one.free_run || one.timeline?.t.length);
+const runs = (evidence?.runs ?? []).map((one, i) => ({ ...one, name: diagnosis.runs[i]?.name ?? one.name, id: diagnosis.runs[i]?.id, stored: diagnosis.runs[i]?.stored })).filter((one) => one.path || one.free_run || one.timeline?.t.length);
 const say = (error) => $("#said").replaceChildren(problemNote(error));
 let run = null; // the one that is shown
 let at = 0;

@@ -4,4 +4,4 @@ export const LEVELS = [1.1, 1.5, 2.5, 4, 8, 16];
 
 export const level = (gap) => (gap === null ? 0 : LEVELS.filter((edge) => gap >= edge).length);
 
-export const levelColour = (k) => (k === 0 ? "--path-0" : `--heat-${k === 1 ? 2 : k}`);
+export const levelColour = (k) => `--path-${k}`;
