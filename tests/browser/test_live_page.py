@@ -114,3 +114,27 @@ def test_a_page_without_its_robot_says_so_and_a_broken_connection_comes_back_by_
     until(page, lambda: len(sockets) == 2)
     expect(page.locator("#state")).to_have_attribute("data-state", "waiting")
     assert page.evaluate("window.states") == ["connecting", "open", "lost", "connecting", "open"]
+
+
+def test_an_hour_of_readings_takes_no_more_memory_than_a_minute(page: Page) -> None:
+    page.goto("/about")
+    kept = page.evaluate(
+        """async () => {
+            const { createTrack } = await import("/static/pages/monitor-tracks.js");
+            const { createRing } = await import("/static/lib/ring.js");
+            const [track, ring] = [createTrack(), createRing(["y"], 4000)];
+            for (let k = 0; k < 72000; k++) {
+                track.extend({ t: [k / 20], x: [k / 100], y: [0] }, null);
+                const t = [0, 1, 2, 3, 4].map((i) => k / 20 + i / 100);
+                ring.push(t, { y: t });
+            }
+            track.extend({ t: [1], x: [9], y: [9] }, null); // late
+            const { t, y } = ring.since(3590);
+            return { poses: track.rows.t.length, first: track.rows.x[0], last: track.rows.t.at(-1),
+                     speed: track.rows.speed.at(-1), rows: ring.length, from: t[0], to: y.at(-1), n: t.length };
+        }"""
+    )
+    assert kept["poses"] <= 3000 and kept["rows"] <= 8000
+    assert (kept["first"], kept["last"]) == (0, pytest.approx(3599.95))
+    assert kept["speed"] == pytest.approx(0.2)
+    assert (kept["from"], kept["to"]) == (pytest.approx(3589.99), pytest.approx(3599.99)) and kept["n"] == 1001
