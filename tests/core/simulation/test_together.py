@@ -128,6 +128,21 @@ def test_any_plausible_values_settle(effects: EffectSet, wild: Run) -> None:
         assert np.isfinite(getattr(out, name)).all(), name
 
 
+def test_a_mirrored_drive_swaps_the_wheels(wild: Run) -> None:
+    """Events of one wheel cut the other's pieces: neither side may come first."""
+    assert wild.commands is not None
+    drive: EffectSet = {
+        "command_delay": {"delay": 0.05}, "motor_lag": {"tau": 0.08}, "speed_limit": {"v_max": 0.65},
+        "accel_limit": {"a_max": 0.4}, "deadband": {"width": 0.02}, "battery_sag": {"rate": 1e-4},
+    }  # fmt: skip
+    run = dataclasses.replace(wild, imu=None, beacon=None, ranges=None, truth=None)
+    other = dataclasses.replace(run, commands=dataclasses.replace(wild.commands, w=-wild.commands.w))
+    a, b = (simulate(r, drive, 0, noise=False).wheels for r in (run, other))
+    assert a is not None and b is not None
+    np.testing.assert_allclose(a.left, b.right, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(a.right, b.left, rtol=0, atol=1e-6)
+
+
 def test_cache_key_covers_every_kernel() -> None:
     """numba keeps compiled entry points on disk; their key must see each file whose code is compiled into them."""
     room = Path(core.simulation.__file__).parent
