@@ -17,7 +17,7 @@ def test_diagnose_against_a_recorded_simulation_writes_the_evidence(tmp_path: Pa
     real = record(Plan(11, seconds=14.0, sensors="none", effects={"gyro_bias": {"bias": 0.02}}))
     folder = tmp_path / "real"
     write_run(real, folder, "folder-parquet")
-    write_run(simulate(real, {"gyro_bias": {"bias": 0.005}}, 1, noise=False), folder / "sim", "folder-parquet")
+    write_run(simulate(real, {"gyro_bias": {"bias": 0.005}}, 1), folder / "sim", "folder-parquet")
     out, evidence = tmp_path / "gap.json", tmp_path / "evidence.json"
     command = ["diagnose", str(folder), "--simulator", "sim", "--json", str(out), "--evidence", str(evidence)]
     assert main(command) == 0
