@@ -165,7 +165,8 @@ class Client:
             pieces = np.stack((points[:-1], points[1:]), axis=1)
             colours: Any = SIMULATED if name == "simulated" else OVERLAY
             if overlay.levels is not None:
-                colours = np.repeat(np.array(GAP, np.uint8)[overlay.levels[1:]][:, None], 2, axis=1)
+                linear = 255.0 * (np.array(GAP) / 255.0) ** 2.2  # of single points the viewer takes linear light
+                colours = np.repeat(linear.astype(np.uint8)[overlay.levels[1:]][:, None], 2, axis=1)
             width = 3.0 if overlay.levels is None else 6.0
             node = f"/world/overlay/{name}"
             scene.add_line_segments(f"{node}/path", pieces, colours, thickness=width, thickness_units="screen")

@@ -2,7 +2,7 @@
 
 export const GAP_TERMS = {
   gap_fitted: ["Fitted", "The effects are found from this run."],
-  gap_held_out: ["Held out", "This run took no part in the fit: it only judges how far the gap shrinks. Without one, the same runs judge, which flatters a little.", null, "diagnoses#how-far"],
+  gap_held_out: ["Held out", "This run took no part in the fit: it only judges how far the gap shrinks. Without one, stretches of the same runs judge, which flatters a little.", null, "diagnoses#how-far"],
   gap_tolerance: ["What matters", "Sizes below which an effect is real but immaterial: listed apart, never told as a cause. Without yours, the table's tolerances hold.", null, "diagnoses#what-matters"],
   gap_heat: ["Where the gap lies", "Each stream while the robot does something: its gap over the noise floor, before anything is added. A dot: significant, under one false-discovery control over all cells.", "rms of residuals / floor", "diagnoses#where"],
   gap_spot_share: ["Share of the gap", "Of all energy above the noise floor, the part that lies here."],

@@ -38,7 +38,7 @@ export function diagnosePanel({ runs, effects, simulators, chosen, held }, onFou
     body.replaceChildren(...rows().map((r) => row(r, any && (r.robot ?? null) !== robot)));
     go.disabled = fit.size === 0;
     go.textContent = fit.size ? `Diagnose ${fit.size} ${fit.size === 1 ? "run" : "runs"}` : "Diagnose";
-    told.textContent = !fit.size ? "Tick at least one run to fit." : keep.size ? `${keep.size} held out: they only judge.` : "None held out: the same runs judge, which flatters a little.";
+    told.textContent = !fit.size ? "Tick at least one run to fit." : keep.size ? `${keep.size} held out: they only judge.` : "None held out: stretches of the same runs judge, which flatters a little.";
   }
 
   function row(r, off) {

@@ -12,7 +12,7 @@ const VERDICTS = { none: ["no gap", "green"], explained: ["explained", ""], part
 export function mountGap(host, { run, data }) {
   const note = h("div", { "aria-live": "polite", id: "gap-job" });
   const found = h("div", { class: "gap-latest", id: "gap-found" });
-  const go = h("button", { type: "button", class: "button primary", id: "diagnose-run", "data-hint": "Fit this run against the nominal simulator and score it on itself" }, "Diagnose this run");
+  const go = h("button", { type: "button", class: "button primary", id: "diagnose-run", "data-hint": "Against the nominal simulator; stretches of the run judge" }, "Diagnose this run");
   const more = h("a", { class: "button", href: `/diagnoses?runs=${run.id}`, "data-hint": "With other runs, some held out, and what matters (d)" }, "With other runs …");
   const asking = h("div", { class: "row" }, go, more);
   const root = h("section", { class: "card gap-tab" }, found);
