@@ -26,6 +26,7 @@ router = APIRouter(tags=["live"])
 Name = Annotated[str, Path(description="the robot's name", examples=["mill"], max_length=64)]
 OUTGOING = 256  # messages that may wait for a robot; acknowledgements of those it missed come with the next
 HELLO_S = 10.0
+ACK_S = 0.02  # acknowledgements within so long are one
 CLOSE_POLICY = 1008
 _numbers = itertools.count(1)
 
@@ -35,7 +36,7 @@ class Line:
 
     def __init__(self, socket: WebSocket) -> None:
         self._socket = socket
-        self.binary = self.closing = False
+        self.binary = self.closing = self.owes = False
         self._queue: asyncio.Queue[tuple[Mapping[str, Any], bool]] = asyncio.Queue(OUTGOING)
         self.writer = asyncio.create_task(self._write())
 
@@ -116,8 +117,13 @@ async def _stream(hub: Hub, robot: Robot, line: Line) -> None:
     def acknowledged(error: OSError | None) -> None:
         if error is not None:
             line.close(problem(error))
-        else:
-            line.send(hub.ack(run))
+        elif not line.owes:
+            line.owes = True
+            asyncio.get_running_loop().call_later(ACK_S, acknowledge)
+
+    def acknowledge() -> None:
+        line.owes = False
+        line.send(hub.ack(run))
 
     durable = hub.acknowledge(run, acknowledged)
     while (frame := await line.receive()) is not None:

@@ -12,7 +12,7 @@ import msgpack
 import numpy as np
 import numpy.typing as npt
 
-from app.live.history import Extremes, Thinned
+from app.live.history import SHORT, Extremes, Thinned
 from app.live.protocol import Bias, Link, LiveEvent, MethodState, Path, Pose, Quality, Ranges, Signal
 from core.estimation.pipeline import METHODS
 from core.live.estimator import METHODS as LIVE_METHODS
@@ -23,6 +23,7 @@ Array = npt.NDArray[np.float64]
 QUEUE = 8  # messages that may wait for a viewer
 PATH = ("t", "x", "y", "theta", "sd_x", "sd_y", "sd_theta", "cov_xy")
 EVENTS = 500
+UNSEEN, COARSE = 40, 0.5  # without viewers: batches that wait, s that become two points
 
 
 class Viewer:
@@ -76,7 +77,9 @@ class Feed:
         self._new_bias: list[list[Any]] = [[], [], []]
         self._new_events: list[LiveEvent] = []
         self._methods_changed = True
-        self.changed = False
+        self.changed = self.watched = False
+        self._unseen: dict[str, list[tuple[Array, Array]]] = {}  # readings by signal
+        self._batches = 0
 
     def take_rows(self, streams: Mapping[str, Mapping[str, Any]], names: list[str]) -> None:
         """Readings as they were accepted."""
@@ -89,8 +92,18 @@ class Feed:
                 continue
             for column, values in columns.items():
                 if column != "t":
-                    self._signals.setdefault(f"{name}.{column}", Extremes()).add(t, values)
+                    self._unseen.setdefault(f"{name}.{column}", []).append((t, values))
+        self._batches += 1
+        if self.watched or self._batches >= UNSEEN:
+            self._catch_up(SHORT if self.watched else COARSE)
         self.changed = True
+
+    def _catch_up(self, width: float) -> None:
+        """Thin the readings that nobody has looked at yet."""
+        for name, parts in self._unseen.items():
+            t, values = (np.concatenate([part[i] for part in parts]) for i in range(2))
+            self._signals.setdefault(name, Extremes()).add(t, values, width)
+        self._unseen, self._batches = {}, 0
 
     def _take_ranges(self, columns: Mapping[str, Any], names: list[str]) -> None:
         for stamp, code, value in zip(columns["t"].tolist(), columns["beacon"].tolist(), columns["range"].tolist(),
@@ -139,6 +152,7 @@ class Feed:
 
     def snapshot(self, quality: Quality) -> dict[str, Any]:
         """All so far: what a Snapshot holds beside the run's description."""
+        self._catch_up(SHORT)
         signals = {name: _signal(signal.shown()) for name, signal in self._signals.items()}
         return {
             "seq": self.seq,

@@ -46,9 +46,9 @@ class Extremes:
         self._group: list[tuple[float, float]] = []
         self._fresh: list[tuple[float, float]] = []
 
-    def add(self, t: Array, y: Array) -> None:
-        """New readings; NaN is a gap."""
-        for part in _short(t):
+    def add(self, t: Array, y: Array, width: float = SHORT) -> None:
+        """New readings, of which each `width` s become two points; NaN is a gap."""
+        for part in _short(t, width):
             points = extremes(t[part], y[part])
             self._fresh += points
             self._group += points
@@ -83,11 +83,11 @@ def extremes(t: Array, y: Array) -> list[tuple[float, float]]:
     )
 
 
-def _short(t: Array) -> list[slice]:
-    """Stretches of SHORT s."""
-    if len(t) < 3 or t[-1] - t[0] <= 2 * SHORT:
+def _short(t: Array, width: float) -> list[slice]:
+    """Stretches of `width` s."""
+    if len(t) < 3 or t[-1] - t[0] <= 2 * width:
         return [slice(0, len(t))]
-    cuts = [0, *(np.flatnonzero(np.diff(np.floor(t / SHORT))) + 1).tolist(), len(t)]
+    cuts = [0, *(np.flatnonzero(np.diff(np.floor(t / width))) + 1).tolist(), len(t)]
     return [slice(a, b) for a, b in itertools.pairwise(cuts)]
 
 

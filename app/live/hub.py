@@ -400,7 +400,10 @@ class Hub:
             now = time.time()
             for robot in list(self._robots.values()):
                 robot.drive.watch(now)
-                if robot.run is not None and robot.run.feed.changed:
+                if robot.run is None:
+                    continue
+                robot.run.feed.watched = bool(robot.viewers)
+                if robot.run.feed.changed:
                     self._update(robot, robot.run, now)
 
     @staticmethod

@@ -31,7 +31,7 @@ from core.trajectory import Trajectory
 Array = npt.NDArray[np.float64]
 
 KEEP = 4.0  # s that methods look back
-SLOW = 0.25  # s between two steps of what may lag behind
+SLOW = 0.5  # s between two steps of what may lag behind
 PATIENCE = 1.0  # s after which a silent wheel stream is not waited for
 METHODS = ("encoders", "beacon", "encoders+gyro", "fused")
 
@@ -111,12 +111,17 @@ class LiveEstimator:
         return missing
 
     def _learn_rhythm(self, piece: Run) -> None:
+        if self.rhythm is not None and not self.rhythm.imu and self._beginning is None and piece.imu is not None:
+            self._beginning = Recent(self._meta, 60.0)  # an IMU that begins later than the wheels
         if self._beginning is None:
             return
         self._beginning.append(piece)
-        self.rhythm = rhythm(self._beginning.run, self.numbers)
-        if self.rhythm is not None:
-            self._beginning = None
+        found = rhythm(self._beginning.run, self.numbers)
+        if found is None:
+            return
+        if self.rhythm is not None and found.imu:
+            self.fused = self.fused.again()
+        self.rhythm, self._beginning = found, None
 
     def _roll(self, piece: Run) -> Trajectory | None:
         assert piece.wheels is not None

@@ -66,6 +66,15 @@ class Fused:
             self._go_on(recent, rhythm)
         return self._new_rows()
 
+    def again(self) -> Fused:
+        """A filter that sets out anew from where this one is: for a sensor that it was not made for."""
+        fresh = Fused(self.meta, self.numbers)
+        fresh._first, fresh._told = self._first, self._told
+        if self.replay is not None and not self._relative:
+            state = self.replay.state
+            fresh.start = Start(state.x[:3].copy(), state.P[:3, :3].copy())
+        return fresh
+
     def tell(self, known: Disturbances) -> None:
         """What befell the robot, found a moment ago."""
         if self.replay is not None and known.found:
