@@ -55,7 +55,7 @@ def test_errors_are_as_large_as_claimed(case: str) -> None:
     seeds = SLOW_SEEDS if case == "ranges, start unknown" else SEEDS
     last, inside = [], []
     for seed in range(seeds):
-        world = simulate(seed, 48.0, drawn_flaws(seed), sensors, start_known=known)
+        world = simulate(seed, flaws=drawn_flaws(seed), sensors=sensors, start_known=known)
         found = nees(estimate(world.run, "fused", SURE).trajectory, world.run.truth)
         assert found is not None
         last.append(found.nees[-1])
