@@ -34,7 +34,8 @@ class Fit:
     """A model at its best parameters in one scope: cost = -2 log likelihood up to a constant, and its equations.
 
     normal: over the model's own columns, the nuisances' part taken out of the residual. g, a: sums over everything, the
-    nuisances marginalised. trifles: the nuisances' sizes; scores (B, P): g by block of time, where asked for.
+    nuisances marginalised. trifles: the nuisances' sizes. joint: products, the residual's products, sd and limit over
+    own columns and nuisances together: a step's problem. scores (B, P): g by block of time, where asked for.
     """
 
     model: Model
@@ -44,6 +45,7 @@ class Fit:
     g: Array
     a: Array
     trifles: Array
+    joint: tuple[Array, Array, Array, Array]
     scores: Array | None = None
 
     @property
@@ -109,8 +111,10 @@ def fit_at(problem: Problem, inside: Model, scope: str, spread: float = 1.0, sco
     _, g, a = normal.total
     free = beside[np.abs(at[beside]) < limit * (1.0 - 1e-9)]
     share = np.zeros((len(columns), 0))
+    aside = _cross(white, nuisances, len(columns))[:, beside] if len(beside) else np.zeros((len(columns), 0))
+    joint = _joint(g, a, aside, nuisances, beside, at[beside], _pull(white, nuisances)[beside])
     if len(free) and len(columns):
-        cross = _cross(white, nuisances, len(columns))[:, free]
+        cross = aside[:, np.isin(beside, free)]
         inner = nuisances.a[np.ix_(free, free)] + np.diag(nuisances.sd[free] ** -2.0)
         size = np.sqrt(np.diag(inner))
         share = np.linalg.solve(inner / np.outer(size, size), (cross / size).T).T / size
@@ -118,7 +122,7 @@ def fit_at(problem: Problem, inside: Model, scope: str, spread: float = 1.0, sco
     parts = normal.g.sum(axis=0) if scores else None
     if parts is not None and len(free) and len(columns):
         parts = parts - _by_block(white, nuisances, normal)[:, free] @ share.T
-    return Fit(inside, cost_of(normal), normal, scope, g, a, at, parts)
+    return Fit(inside, cost_of(normal), normal, scope, g, a, at, joint, parts)
 
 
 def with_trifles(problem: Problem, fit: Fit) -> Model:
@@ -136,6 +140,17 @@ def with_trifles(problem: Problem, fit: Fit) -> Model:
         if effect == "gyro_drift":
             values["tau"] = float(start or DRIFT)
     return out
+
+
+def _joint(
+    g: Array, a: Array, aside: Array, nuisances: Nuisances, beside: npt.NDArray[np.int64], at: Array, left: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Own parameters' steps and the nuisances' whole sizes as one bounded problem."""
+    inner = nuisances.a[np.ix_(beside, beside)] if len(beside) else np.zeros((0, 0))
+    whole = np.block([[a, aside], [aside.T, inner]])
+    pull = np.concatenate((g + aside @ at, left + inner @ at))
+    far = np.full(len(g), np.inf)
+    return whole, pull, np.concatenate((far, nuisances.sd[beside])), np.concatenate((far, nuisances.limit[beside]))
 
 
 CLEAR = 3.0
@@ -173,7 +188,7 @@ def _weight(residual: Array) -> Array:
 def _pull(white: Sequence[Mapping[str, White]], nuisances: Nuisances) -> Array:
     """(M,) products of the nuisances' columns and the residual."""
     out = np.zeros(len(nuisances.keys))
-    for one, rows in zip(white, nuisances.rows, strict=True):
+    for one, rows in zip(white, nuisances.rows, strict=False):  # no rows where there are no nuisances
         for name, (columns, index) in rows.items():
             if name in one:
                 residual = one[name].residual
@@ -223,9 +238,11 @@ def _by_block(white: Sequence[Mapping[str, White]], nuisances: Nuisances, normal
 
 def _step(fit: Fit, damping: float) -> Model | None:
     """Parameters after one damped step, inside their bounds."""
-    g, a = fit.g, fit.a
-    scale = np.sqrt(np.maximum(np.diag(a), 1e-12))
-    step = np.linalg.lstsq(a / np.outer(scale, scale) + damping * np.eye(len(g)), g / scale, rcond=1e-12)[0] / scale
+    whole, pull, sd, limit = fit.joint
+    own = np.arange(len(fit.parameters))
+    damped = whole.copy()
+    damped[own, own] *= 1.0 + damping
+    step = bounded(damped, pull, sd, limit)[0][own]
     if not np.isfinite(step).all():
         return None
     moved: Model = {name: dict(values) for name, values in fit.model.items()}
