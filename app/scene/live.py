@@ -4,7 +4,7 @@ Shared nodes as in `build`, but a method's path is in three pieces, so that what
 
 /world/methods/{method}/{light,dark}/path        all but the newest poses; drawn anew once a minute or so
 /world/methods/{method}/{light,dark}/recent      poses since then, drawn anew every few seconds
-/world/methods/{method}/{light,dark}/newest      the last few, drawn anew with every message
+/world/methods/{method}/{light,dark}/newest      the last few, drawn anew LINES times a second
 /world/ranges                                    last range of each beacon, as long as measured, towards the robot
 
 Whoever looks sees the newest moment: there is no cursor in time. When the robot leaves the floor, a larger one is laid.
@@ -13,6 +13,7 @@ Whoever looks sees the newest moment: there is no cursor in time. When the robot
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
@@ -29,6 +30,7 @@ COLUMNS = ("t", "x", "y", "theta", "sd_x", "sd_y", "cov_xy")
 MOST = 16_384  # poses of a method that are kept; the older, the fewer
 UNTOUCHED = 2_048  # the newest are all kept
 NEWEST, RECENT = 48, 1_024  # poses after which a piece goes over into the one before it
+LINES = 8.0  # drawings of lines per second
 RANGE_HOLDS = 1.0  # s
 ROOM = 6.0  # m of floor at least
 
@@ -89,6 +91,9 @@ class LiveScene(Scene):
         self._paths: dict[str, Growing] = {}
         self._drawn: dict[str, tuple[int, int, int]] = {}  # method -> rows in `path`, rows before `newest`, thinned
         self._ranges: dict[str, tuple[float, float]] = {}
+        self._ends: dict[str, tuple[float, float]] = {}  # where each path's drawing ends
+        self._themes: set[str] = set()  # those that somebody sees
+        self._drawn_at = 0.0
         self._lines: viser.LineSegmentsHandle | None = None
         start = SceneData(
             feed.run_id, feed.name, 0.0, 0.0, beacons=dict(feed.meta.beacons), robot=feed.meta.robot,
@@ -133,10 +138,24 @@ class LiveScene(Scene):
         with self._server.atomic():
             if self._outside():
                 self._lay_larger_floor()
-            self._draw_paths()
-            self._draw_ranges()
+            if self._due():
+                self._draw_paths()
+                self._draw_ranges()
         for viewer in self._viewers.values():
             viewer.grow(self.data, self.sizes)
+
+    def _due(self) -> bool:
+        """Robots move with every message; lines, which cost a browser far more, LINES times a second."""
+        themes = {viewer.cursor.theme for viewer in self._viewers.values()} or set(THEMES)
+        if themes != self._themes:
+            self._themes = themes
+            self._drawn.clear()
+            self._ends.clear()
+        now = time.monotonic()
+        if now - self._drawn_at < 1 / LINES and self._drawn:
+            return False
+        self._drawn_at = now
+        return True
 
     def _path(self, method: str, labels: Mapping[str, str]) -> Growing:
         if method not in self._paths:
@@ -155,9 +174,14 @@ class LiveScene(Scene):
         for variant in THEMES:
             build.add_ground(self._server.scene, f"/world/ground/{variant}", self.sizes, variant)
         self._drawn.clear()
+        self._ends.clear()
 
     def _draw_paths(self) -> None:
         for layer, path in enumerate(self.data.paths):
+            end, drawn = (float(path.x[-1]), float(path.y[-1])), self._ends.get(path.method, (np.inf, np.inf))
+            if max(abs(end[0] - drawn[0]), abs(end[1] - drawn[1])) < self.sizes.extent.size / 3000:
+                continue  # it stands, or is nowhere
+            self._ends[path.method] = end
             thinned = self._paths[path.method].thinned
             old, recent, before = self._drawn.get(path.method, (0, 0, -1))
             rows = len(path.t)
@@ -179,7 +203,7 @@ class LiveScene(Scene):
         segments = shapes.polyline(path.x[rows], path.y[rows], line.dash, z, self.sizes.unit)
         if not len(segments):  # viser draws no empty node: a point is as good
             segments = np.zeros((1, 2, 3), np.float32)
-        for variant in THEMES:
+        for variant in self._themes:
             name = f"/world/methods/{slug(path.method)}/{variant}"
             self._server.scene.add_line_segments(
                 f"{name}/{piece}", segments, line.colour(variant), thickness=line.width, thickness_units="screen"
