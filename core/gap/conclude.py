@@ -55,7 +55,7 @@ def conclude(
     causes = _causes(found, seen_by, _shares(found, seen_by, gap))
     sure = [one for one in causes if one.probability > 0.5]
     verdict = _verdict(sure, unexplained)
-    advised = next_experiment(fitted_on[0].run, seen_by.causing, found.links, causes, floor, reach)
+    advised = next_experiment(fitted_on[0].run, {**found.model, **seen_by.causing}, found.links, causes, floor, reach)
     told = Told(found.model, seen_by, causes, reach, advised, config.seed)
     listed = (
         name

@@ -22,6 +22,8 @@ TEMPER, LEFT = 2e-4, 0.05
 noise: no model is exact to more than that."""
 SURE = 0.985
 """No probability is higher: the world may hold what no candidate is."""
+LEADS = 0.51
+"""Probability of the first of a set whose members these runs cannot tell apart, at least."""
 LEAST = {
     "command_delay.delay": 4e-4, "motor_lag.tau": 4e-4, "imu_clock.offset": 5e-5, "beacon_delay.delay": 5e-4,
     "deadband.width": 1e-4, "slip_patch.x": 1e-3, "slip_patch.y": 1e-3, "slip_patch.radius": 1e-3,
@@ -128,7 +130,8 @@ def probabilities(found: Sequence[Found], material: Sequence[str], doubt: Mappin
                 continue
             whole = 1.0 + sum(rivals.values())
             rest = SURE * (1.0 - doubt.get(name, 0.0))
-            out[name] = max(out.get(name, 0.0), rest / whole)
+            leads = rest if all(weight < 1.0 for weight in rivals.values()) else 0.0
+            out[name] = max(out.get(name, 0.0), rest / whole, min(leads, LEADS))  # the first of a set stands for it
             for rival, weight in rivals.items():
                 out[rival] = max(out.get(rival, 0.0), rest * weight / whole)
     for name in material:
