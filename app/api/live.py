@@ -16,9 +16,10 @@ from app.api import live_schemas as schemas
 from app.errors import ConflictError, DiskFullError
 from app.live import messages
 from app.live.feed import Viewer, encoded
-from app.live.hub import Hub, Robot
+from app.live.hub import Hub
 from app.live.messages import SchemaError, check_robot
 from app.live.protocol import Ended, Error, Refused
+from app.live.robot import Robot
 from app.live.run import LiveRun
 from core.errors import DriftscopeError
 

@@ -15,9 +15,8 @@ import os
 import secrets
 import shutil
 import time
-from collections.abc import AsyncIterator, Callable, Mapping
-from datetime import UTC, datetime
-from typing import Any, Protocol
+from collections.abc import AsyncIterator, Callable
+from typing import Any
 
 from fastapi import FastAPI
 from sqlalchemy import Engine
@@ -25,10 +24,10 @@ from sqlalchemy import Engine
 from app.db.session import reading, writing
 from app.errors import ConflictError, NotFoundError
 from app.live import log as logs
-from app.live.drive import Drive
-from app.live.feed import Viewer, encoded
+from app.live.feed import encoded
 from app.live.messages import LIMITS, CheckedHello
-from app.live.protocol import PROTOCOL, UPDATE_HZ, Ack, Driver, Error, Gone, LiveRobot, Welcome
+from app.live.protocol import PROTOCOL, UPDATE_HZ, Ack, Error, Gone, LiveRobot, Welcome
+from app.live.robot import Connection, Robot
 from app.live.run import LiveRun, said_in
 from app.live.tap import LiveFeed
 from app.live.workers import Workers
@@ -50,52 +49,6 @@ class NameTakenError(ConflictError):
     code = "name_taken"
 
 
-class Connection(Protocol):
-    """A robot's end of the line."""
-
-    def send(self, message: Mapping[str, Any]) -> None:
-        """Queue a message."""
-
-    def close(self, message: Mapping[str, Any]) -> None:
-        """Send a last message and close."""
-
-
-class Robot:
-    """One robot by its name: its run, its connection, its viewers and its stick."""
-
-    def __init__(self, name: str, drive_allowed: bool, hub: Hub) -> None:
-        self.name, self._hub = name, hub
-        self.run: LiveRun | None = None
-        self.connection: Connection | None = None
-        self.viewers: dict[Viewer, None] = {}
-        self.drive = Drive(drive_allowed, self._send, self._record)
-        self.state = "waiting"
-
-    def _send(self, message: Mapping[str, Any]) -> bool:
-        if self.connection is None:
-            return False
-        self.connection.send(message)
-        return True
-
-    def _record(self, v: float, w: float) -> None:
-        if self.run is not None:
-            self.run.commanded(v, w, self._hub.sink(self.run))
-
-    def tell_driver(self) -> None:
-        """Everybody hears who drives."""
-        for viewer in self.viewers:
-            viewer.tell(Driver(type="driver", **self.drive.state(viewer)))
-
-    def snapshot(self, viewer: Viewer) -> dict[str, Any]:
-        """All so far, for one who joins."""
-        run = self.run
-        head = {"type": "snapshot", "robot": self.name, "state": self.state, "driver": self.drive.state(viewer)}
-        if run is None:
-            empty = Hub.empty_feed()
-            return {**head, "run_id": "", "run": {}, **empty}
-        return {**head, "run_id": run.id, "run": run.said.run, **run.feed.snapshot(run.gauge.read(time.time()))}
-
-
 class Hub:
     """The service behind `app.state.live`."""
 
@@ -108,14 +61,6 @@ class Hub:
         self._tasks: set[asyncio.Task[None]] = set()
         self._loop = asyncio.get_running_loop()
         self._changed: dict[str, float] = {}  # runs that have grown, and when the store looked at them last
-
-    @staticmethod
-    def empty_feed() -> dict[str, Any]:
-        """What a snapshot holds where there is no run."""
-        from app.live.feed import Feed
-        from app.live.quality import Gauge
-
-        return Feed().snapshot(Gauge().read(time.time()))
 
     # ------------------------------------------------------------------------------------------------ robots
 
@@ -197,7 +142,7 @@ class Hub:
         """The robot of that name, whether it has ever come or not."""
         found = self._robots.get(name)
         if found is None:
-            found = self._robots[name] = Robot(name, self.settings.drive, self)
+            found = self._robots[name] = Robot(name, self.settings.drive, self.sink)
         return found
 
     def forget_idle(self, robot: Robot) -> None:
@@ -207,7 +152,7 @@ class Hub:
 
     def robots(self) -> list[LiveRobot]:
         """Those with a live run, as `GET /api/v1/live` lists them."""
-        return [_listed(robot, robot.run) for robot in self._robots.values() if robot.run is not None]
+        return [robot.listed(robot.run) for robot in self._robots.values() if robot.run is not None]
 
     def on_loop(self, call: Callable[[], None]) -> None:
         """Call from any thread what touches robots and viewers."""
@@ -448,23 +393,6 @@ class Hub:
         for run in self._runs.values():
             if run.log is not None:
                 run.log.close()
-
-
-def _listed(robot: Robot, run: LiveRun) -> LiveRobot:
-    driver = robot.drive.driver
-    return LiveRobot(
-        robot=robot.name,
-        run_id=run.id,
-        name=str(run.said.run.get("name") or robot.name),
-        state="live" if robot.state == "live" else "silent",
-        virtual=run.said.virtual,
-        started_at=datetime.fromtimestamp(run.started, UTC).isoformat(),
-        duration_s=run.t,
-        viewers=len(robot.viewers),
-        driver=driver.name if driver is not None else None,
-        rows=dict(run.feed.rows),
-        quality=run.quality(),
-    )
 
 
 @contextlib.asynccontextmanager

@@ -166,7 +166,7 @@ class LiveRun:
                 f"{name}: the robot's clock went back by {newest - t[-1]:.3g} s; begin a new session",
                 stream=name, expected=f"stamps after {newest!r}", found=float(t[-1]),
             )  # fmt: skip
-        ahead = float(np.max(np.diff(t, prepend=newest)))
+        ahead = max(float(t[0] - newest), float((t[1:] - t[:-1]).max()) if len(t) > 1 else 0.0)
         if ahead > JUMP_AHEAD:
             raise ClockError(
                 f"{name}: the robot's clock jumped ahead by {ahead:.3g} s; begin a new session",

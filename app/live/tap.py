@@ -10,7 +10,8 @@ import msgpack
 from app.live.feed import Viewer
 
 if TYPE_CHECKING:
-    from app.live.hub import Hub, Robot
+    from app.live.hub import Hub
+    from app.live.robot import Robot
     from app.live.run import LiveRun
     from core.run import RunMeta
 
