@@ -36,6 +36,7 @@ from app.store import live as store
 
 log = logging.getLogger("driftscope.live")
 
+QUIET_S = 5.0  # without a word for so long a robot is silent
 SILENCE_S = 120.0  # a robot that is silent for so long has ended its run
 GROW_S = 2.0  # between two looks of the store at a run that grows
 SWEEP_S = 1.0
@@ -271,15 +272,15 @@ class Hub:
     def recover(self) -> None:
         """Runs that were live when the server ended: made again from their logs."""
         with reading(self._engine) as session:
-            rows = [(row.id, row.robot, row.state) for row in store.unfinished(session)]
-        for run_id, name, state in rows:
-            self._recover(run_id, name, state)
+            rows = [(row.id, row.robot, row.state, row.started_at) for row in store.unfinished(session)]
+        for run_id, name, state, began in rows:
+            self._recover(run_id, name, state, began.timestamp())
         root = self.settings.data / "live"
         for folder in root.iterdir() if root.is_dir() else ():
             if folder.name not in {row[0] for row in rows}:
                 shutil.rmtree(folder, ignore_errors=True)
 
-    def _recover(self, run_id: str, name: str, state: str) -> None:
+    def _recover(self, run_id: str, name: str, state: str, began: float) -> None:
         path = self.settings.data / "live" / run_id / "log"
         found = said_in(path) if path.exists() else None
         if found is None or state != store.LIVE:
@@ -288,6 +289,7 @@ class Hub:
         robot = self.robot(name)
         shutil.rmtree(self.settings.data / "live" / run_id / "columns", ignore_errors=True)
         run = LiveRun(self.settings.data, run_id, name, found[1])
+        run.started = began
         self._workers.open(run_id, run.said.run)
         run.replay(self.sink(run))
         run.gauge.last_heard = time.time()
@@ -369,6 +371,8 @@ class Hub:
             now = time.time()
             for robot in list(self._robots.values()):
                 run = robot.run
+                if run is not None and robot.connection is None and now - run.gauge.last_heard > QUIET_S:
+                    robot.state = "silent"  # one that posts its rows has no connection to lose
                 if run is not None and robot.connection is None and now - run.gauge.last_heard > SILENCE_S:
                     await self.end(robot)
             period = max(GROW_S, 0.1 * len(self._runs))
