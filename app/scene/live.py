@@ -94,7 +94,8 @@ class LiveScene(Scene):
         self._ends: dict[str, tuple[float, float]] = {}  # where each path's drawing ends
         self._themes: set[str] = set()  # those that somebody sees
         self._drawn_at = 0.0
-        self._lines: viser.LineSegmentsHandle | None = None
+        self._lines: dict[str, viser.LineSegmentsHandle] = {}
+        self._count = self._floors = 0
         start = SceneData(
             feed.run_id, feed.name, 0.0, 0.0, beacons=dict(feed.meta.beacons), robot=feed.meta.robot,
             revision=revision, live=True,
@@ -171,8 +172,14 @@ class LiveScene(Scene):
 
     def _lay_larger_floor(self) -> None:
         self.sizes = _roomy(self.data)
+        scene, self._floors = self._server.scene, self._floors + 1
         for variant in THEMES:
-            build.add_ground(self._server.scene, f"/world/ground/{variant}", self.sizes, variant)
+            name = f"/world/ground/{variant}"
+            old = ("grid", "border", "pitch", "map") if self._floors == 1 else (f"floor-{self._floors - 1}",)
+            for part in old:
+                scene.remove_by_name(f"{name}/{part}")
+            scene.add_frame(f"{name}/floor-{self._floors}", show_axes=False)
+            build.add_ground(scene, f"{name}/floor-{self._floors}", self.sizes, variant)
         self._drawn.clear()
         self._ends.clear()
 
@@ -205,19 +212,24 @@ class LiveScene(Scene):
             segments = np.zeros((1, 2, 3), np.float32)
         for variant in self._themes:
             name = f"/world/methods/{slug(path.method)}/{variant}"
-            self._server.scene.add_line_segments(
-                f"{name}/{piece}", segments, line.colour(variant), thickness=line.width, thickness_units="screen"
-            )
+            self._replace(f"{name}/{piece}", segments, line.colour(variant), line.width)
+
+    def _replace(self, name: str, segments: Floats, colour: tuple[int, int, int], width: float) -> None:
+        """Lines in place of those of that name; each under a new one, as browsers keep what they have under the old."""
+        before = self._lines.pop(name, None)
+        self._count += 1
+        self._lines[name] = self._server.scene.add_line_segments(
+            f"{name}-{self._count}", segments, colour, thickness=width, thickness_units="screen"
+        )
+        if before is not None:
+            before.remove()
 
     def _draw_ranges(self) -> None:
         segments = range_lines(self.data, self._ranges)
-        if not len(segments):
-            if self._lines is not None:
-                self._lines.visible = False
-            return
-        self._lines = self._server.scene.add_line_segments(
-            "/world/ranges", segments, BEACON, thickness=1.0, thickness_units="screen"
-        )
+        if len(segments):
+            self._replace("/world/ranges", segments, BEACON, 1.0)
+        elif (before := self._lines.pop("/world/ranges", None)) is not None:
+            before.remove()
 
 
 def range_lines(data: SceneData, ranges: Mapping[str, tuple[float, float]]) -> Floats:
