@@ -15,6 +15,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -184,7 +185,7 @@ def told(found: Diagnosis | Brief) -> str:
     return f"{found.verdict} {', '.join(sure)} {rest}"
 
 
-def calibration(rows: Sequence[dict]) -> float:
+def calibration(rows: Sequence[dict[str, Any]]) -> float:
     """Expected calibration error: probabilities of all that was told against how often it was so, in ten classes."""
     pairs = np.array([pair for row in rows for pair in row["pairs"]])
     if len(pairs) == 0:
@@ -210,7 +211,7 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def table(lines: Sequence[dict]) -> None:
+def table(lines: Sequence[dict[str, Any]]) -> None:
     """Means per stratum (z: root mean square; shrunk: median), then what all strata say together."""
     print("| stratum | n | " + " | ".join(COLUMNS) + " | calibration |")
     print("|" + " --- |" * (len(COLUMNS) + 3))
@@ -247,7 +248,7 @@ def main() -> None:
     if chosen.read:
         table([json.loads(line) for line in chosen.read.read_text().splitlines()])
         return
-    lines: list[dict] = []
+    lines: list[dict[str, Any]] = []
 
     def add(stratum: str, case: Case, outside: bool) -> None:
         runs, held, answer, label = case
