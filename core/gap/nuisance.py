@@ -15,7 +15,6 @@ import numpy as np
 import numpy.typing as npt
 
 from core.effects import EFFECTS
-from core.gap.candidates import Candidate
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -92,12 +91,3 @@ def bounded(a: Array, g: Array, sd: Array, limit: Array) -> tuple[Array, float]:
         held &= ~loose
     at = np.clip(at, -top, top)
     return at / size, float(2.0 * target @ at - at @ scaled @ at)
-
-
-def of_candidates(tried: Sequence[Candidate]) -> list[Candidate]:
-    """Those that are nuisances."""
-    return [one for one in tried if not one.secant and limits(_keys(one)).any()]
-
-
-def _keys(one: Candidate) -> list[str]:
-    return [f"{key}@{one.start['tau']}" if one.effect == "gyro_drift" else key for key in one.keys]

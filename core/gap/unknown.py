@@ -167,11 +167,6 @@ def blocked_by(shape: Shape) -> frozenset[str]:
     return frozenset(BODY_STREAMS)
 
 
-def matters(gain: float, tolerance: float) -> bool:
-    """Whether a rest is more than chance, and more than a flaw of tolerated size would leave."""
-    return gain > CHANCE and gain > tolerance
-
-
 def words(shape: Shape, gain: float, share: float) -> str:
     """One sentence about a shape."""
     part = {
