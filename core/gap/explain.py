@@ -13,7 +13,8 @@ from core.gap.candidates import Candidate
 from core.gap.fit import refit, trifles_of, with_trifles
 from core.gap.linear import Model, Problem, linearise, with_floor
 from core.gap.scatter import DENSITIES, Scatter, block_means, gyro_left, gyro_walk, scatters, walk_costs
-from core.gap.selection import WORTH, Found, gains_of, search
+from core.gap.screen import gains_of
+from core.gap.selection import WORTH, Found, search
 from core.gap.smoothing import smooth
 from core.gap.unknown import Rest, rest_of, stream_of
 from core.gap.world import WHEELS, World

@@ -32,8 +32,8 @@ from core.gap.judged import judged  # noqa: E402
 from core.gap.leftover import chance_of_unknown  # noqa: E402
 from core.gap.linear import Problem, linearise, with_floor  # noqa: E402
 from core.gap.reference import restarts_of  # noqa: E402
+from core.gap.screen import gains_of  # noqa: E402
 from core.gap.searched import reach_of, searched  # noqa: E402
-from core.gap.selection import gains_of  # noqa: E402
 from core.gap.shrink import NOISES, Scored, figures, show  # noqa: E402
 from core.gap.types import Cause, Config, Immaterial, Unexplained  # noqa: E402
 from core.gap.world import make_world  # noqa: E402
