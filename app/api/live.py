@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
+import logging
 import time
 from collections.abc import Mapping
 from typing import Annotated, Any
@@ -23,6 +24,7 @@ from app.live.robot import Robot
 from app.live.run import LiveRun
 from core.errors import DriftscopeError
 
+log = logging.getLogger("driftscope.live")
 router = APIRouter(tags=["live"])
 Name = Annotated[str, Path(description="the robot's name", examples=["mill"], max_length=64)]
 OUTGOING = 256  # messages that may wait for a robot; acknowledgements of those it missed come with the next
@@ -82,6 +84,8 @@ class Line:
 def problem(error: BaseException) -> Error:
     """An error as a robot is told."""
     told = errors.problem_of(error)
+    if told["status"] == 500:
+        log.error("a live robot's connection failed", exc_info=error)
     return Error(type="error", code=told["code"], detail=told["detail"], where=told["where"])
 
 

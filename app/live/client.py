@@ -134,9 +134,9 @@ class Client:
         kind = message["type"]
         if kind == "ack":
             self._heard = [message["at"], time.time()]
-            while self._kept and self._kept[0]["n"] <= message["n"]:
-                self._kept.popleft()
-                self._sent = max(0, self._sent - 1)
+            self._forget(message["n"] + 1)
+        elif kind == "ended":  # all of it is on disk
+            self._forget(message["n"])
         elif kind == "throttle":
             self.on_state(f"throttled: {message['reason']}")
             await asyncio.sleep(message["wait_s"])
@@ -147,6 +147,12 @@ class Client:
             self.on_command(None)
         self._refused(message)
         return bool(kind == "ended")
+
+    def _forget(self, following: int) -> None:
+        """Batches before that number are on disk."""
+        while self._kept and self._kept[0]["n"] < following:
+            self._kept.popleft()
+            self._sent = max(0, self._sent - 1)
 
     @staticmethod
     def _refused(message: Mapping[str, Any]) -> None:

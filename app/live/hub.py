@@ -219,8 +219,7 @@ class Hub:
 
     def _close(self, run: LiveRun) -> None:
         if run.log is not None:
-            run.log.write(logs.record(logs.END, b""))
-            run.log.close()
+            run.log.finish(logs.END)
             run.log = None
         self._grow(run)
         with writing(self._engine) as session:

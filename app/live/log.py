@@ -13,6 +13,7 @@ import struct
 import threading
 import zlib
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from pathlib import Path
 
 HEAD = struct.Struct("<IIB")
@@ -76,6 +77,15 @@ class Log:
             with contextlib.suppress(OSError):
                 os.ftruncate(self._file, end)
             raise
+
+    def finish(self, kind: int) -> None:
+        """A last record behind all that is queued, waited for; then close. OSError where it could not be written."""
+        written: Future[OSError | None] = Future()
+        self.append(kind, b"", written.set_result)
+        error = written.result()
+        self.close()
+        if error is not None:
+            raise error
 
     def close(self) -> None:
         """After the last record's `done`."""

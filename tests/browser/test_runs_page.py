@@ -190,7 +190,7 @@ def test_search_and_facets_narrow_the_list_and_are_in_the_address(
     page.locator('[data-facet="has"] button', has_text="beacon").click()
     expect(page.locator("#search")).to_have_value("has:beacon")
     expect(rows(page).filter(has_text=square["name"])).to_have_count(0)
-    expect(rows(page).filter(has_text=mission["name"])).to_have_count(1)
+    expect(page.locator(f'#table tr[data-run="{mission["id"]}"]')).to_have_count(1)
     page.reload()
     expect(page.locator('[data-facet="has"] button[aria-pressed="true"]')).to_have_text(re.compile("beacon"))
     page.fill("#search", "tag:no-such-tag")

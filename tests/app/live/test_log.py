@@ -52,6 +52,21 @@ def test_records_are_acknowledged_in_order_once_they_are_in_the_file(tmp_path: P
     assert seen == [(n, None, True) for n in range(200)]
 
 
+def test_the_last_record_comes_behind_all_that_is_queued(tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    writer, seen = logs.Writer(), []
+    log = logs.Log(tmp_path / "run" / "log", writer)
+    for n in range(50):
+        log.append(logs.TEXT, f"{n}".encode(), seen.append)
+    log.finish(logs.END)
+    writer.stop()
+    assert seen == [None] * 50
+    assert list(logs.read(tmp_path / "run" / "log")) == [
+        *((logs.TEXT, f"{n}".encode()) for n in range(50)),
+        (logs.END, b""),
+    ]
+
+
 def test_a_full_disk_is_told_and_leaves_no_half_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "run").mkdir()
     writer, told, done = logs.Writer(), [], threading.Event()
