@@ -30,7 +30,9 @@ def stored(server: Server, square: dict[str, Any], mission: dict[str, Any]) -> s
     return found
 
 
-def test_the_report_says_it_shows_it_and_lets_it_go(page: Page, watch: Watch, stored: str, tmp_path: Path) -> None:
+def test_the_report_says_it_shows_it_and_lets_it_go(
+    page: Page, watch: Watch, mission: dict[str, Any], stored: str, tmp_path: Path
+) -> None:
     page.goto(f"/diagnoses/{stored}?view=map")
     expect(page.locator("html")).to_have_attribute("data-ready", "diagnosis")
     expect(page.locator("#verdict")).to_contain_text("Your simulator turns 2.1 % more than the robot.")
@@ -48,7 +50,7 @@ def test_the_report_says_it_shows_it_and_lets_it_go(page: Page, watch: Watch, st
     page.wait_for_url(re.compile(r"share=0\.40.*|t0=.*share"))
     page.reload()
     expect(page.locator("#share-now")).to_have_text("40 %")
-    page.get_by_role("button", name="lap 1").click()
+    page.locator("#run-choice").get_by_role("button", name=mission["name"]).click()
     expect(page.locator("#overlay")).to_be_hidden()
     page.locator("#patch summary").click()
     with page.expect_download() as patch:

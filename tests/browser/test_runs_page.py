@@ -187,6 +187,7 @@ def test_search_and_facets_narrow_the_list_and_are_in_the_address(
     expect(page).to_have_url(re.compile(r"\?q=tag%3Asquare$"))
     expect(page.locator("#verdict")).to_contain_text("1 of ")
     page.fill("#search", "")
+    expect(page).to_have_url(re.compile(r"/runs$"))
     page.locator('[data-facet="has"] button', has_text="beacon").click()
     expect(page.locator("#search")).to_have_value("has:beacon")
     expect(rows(page).filter(has_text=square["name"])).to_have_count(0)
