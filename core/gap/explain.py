@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from core.effects import EFFECTS
 from core.gap.candidates import Candidate
-from core.gap.fit import refit, trifles_of, with_trifles
+from core.gap.discrepancy import driven
+from core.gap.fit import flaws_of, refit, trifles_of, with_trifles
 from core.gap.linear import Model, Problem, linearise, with_floor
 from core.gap.scatter import DENSITIES, Scatter, block_means, gyro_left, gyro_walk, scatters, walk_costs
 from core.gap.screen import gains_of
@@ -114,7 +115,8 @@ def _driven(wheels: Found, held: EffectSet) -> Problem:
     told = float(normal.c.sum()) < FITTED * float(normal.n.sum()) and wheels.unknown is None
     if told:
         drive = with_trifles(wheels.problem, wheels.fit)
-        worlds = tuple(world.with_drive(drive) for world in wheels.problem.worlds)
+        flaws = flaws_of(wheels.problem, wheels.fit)
+        worlds = tuple(driven(wheels.problem, world, wheels.fit.model, drive, flaws) for world in wheels.problem.worlds)
     else:
         worlds = tuple(recorded(world, wheels) for world in wheels.problem.worlds)
     return with_floor(dataclasses.replace(wheels.problem, worlds=worlds, held=held), {})

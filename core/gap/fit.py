@@ -130,7 +130,7 @@ def with_trifles(problem: Problem, fit: Fit) -> Model:
     out: Model = {name: dict(values) for name, values in fit.model.items()}
     nuisances = problem.nuisances
     for key, effect, size in zip(nuisances.keys, nuisances.effects, fit.trifles, strict=True):
-        if effect in fit.model or effect == "anchor_moved" or size == 0.0:
+        if effect in fit.model or effect == "anchor_moved" or size == 0.0 or key.startswith("~"):
             continue
         name, _, start = key.partition("@")
         values = out.setdefault(effect, {**EFFECTS[effect].neutral, **problem.known.get(effect, {})})
@@ -163,9 +163,7 @@ def trifles_of(problem: Problem, fit: Fit) -> dict[str, dict[str, tuple[float, f
     beside = np.flatnonzero(nuisances.beside(list(fit.model)))
     if not len(beside):
         return {}
-    inner = nuisances.a[np.ix_(beside, beside)] + np.diag(nuisances.sd[beside] ** -2.0)
-    size = np.sqrt(np.diag(inner))
-    sd = np.sqrt(np.diag(np.linalg.inv(inner / np.outer(size, size)))) / size
+    sd = _spread(nuisances, beside)
     clear = {nuisances.effects[i] for i, s in zip(beside, sd, strict=True) if abs(fit.trifles[i]) > CLEAR * s}
     out: dict[str, dict[str, tuple[float, float]]] = {}
     whole = with_trifles(problem, fit)
@@ -173,6 +171,25 @@ def trifles_of(problem: Problem, fit: Fit) -> dict[str, dict[str, tuple[float, f
         effect, name = nuisances.effects[i], nuisances.keys[i].split("@")[0].split(".")[1]
         if effect in clear and effect in whole and effect not in CROWDED:
             out.setdefault(effect, {})[name] = (float(whole[effect][name]), float(s))
+    return out
+
+
+def flaws_of(problem: Problem, fit: Fit) -> dict[str, float]:
+    """Sizes of those flaws of no effect that are clear of nothing, by key."""
+    nuisances = problem.nuisances
+    beside = np.flatnonzero(nuisances.beside(list(fit.model)))
+    pairs = zip(beside, _spread(nuisances, beside), strict=True)
+    clear = [i for i, s in pairs if nuisances.keys[i].startswith("~") and abs(fit.trifles[i]) > CLEAR * s]
+    return {nuisances.keys[i]: float(fit.trifles[i]) for i in clear}
+
+
+def _spread(nuisances: Nuisances, beside: npt.NDArray[np.int64]) -> Array:
+    """Standard deviations of these nuisances beside each other."""
+    if not len(beside):
+        return np.zeros(0)
+    inner = nuisances.a[np.ix_(beside, beside)] + np.diag(nuisances.sd[beside] ** -2.0)
+    size = np.sqrt(np.diag(inner))
+    out: Array = np.sqrt(np.diag(np.linalg.inv(inner / np.outer(size, size)))) / size
     return out
 
 

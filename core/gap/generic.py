@@ -252,7 +252,7 @@ def _body_rows(problem: Problem, world: World, model: EffectSet, sizes: Sizes) -
         for name in sigma:
             keep = world.keep(name)
             for shape, motion in motions.items():
-                rows[name].append((shape, _felt(world, name, motion, r)[keep]))
+                rows[name].append((shape, felt(world, name, motion, r)[keep]))
     for name in sigma:
         white = white_imu(world, name, np.array([row for _, row in rows[name]]), sigma[name], problem.floor)
         rows[name] = [(shape, row) for (shape, _), row in zip(rows[name], white, strict=True)]
@@ -275,11 +275,11 @@ def _body_rows(problem: Problem, world: World, model: EffectSet, sizes: Sizes) -
                 values[other].append(column if other == name else np.zeros(len(world.times[other])))
     if motions and len(world.stamps) > 3:
         for shape, motion in motions.items():
-            moved, jump = _displaced(world, body, motion)
+            moved, jump = displaced(world, body, motion)
             stacked.append(shape)
             jumps.append(-jump)
             for name in events.names:
-                values[name].append(_seen(world, body, name, moved))
+                values[name].append(seen(world, body, name, moved))
     if not stacked:
         return rows
     posed, _ = white_poses(events, {n: np.array(v) for n, v in values.items()}, np.array(jumps), problem.floor.walk)
@@ -288,7 +288,7 @@ def _body_rows(problem: Problem, world: World, model: EffectSet, sizes: Sizes) -
     return rows
 
 
-def _felt(world: World, name: str, motion: tuple[Array, Array, Array], r: Mapping[str, Array]) -> Array:
+def felt(world: World, name: str, motion: tuple[Array, Array, Array], r: Mapping[str, Array]) -> Array:
     """What one IMU axis reads of a small further motion."""
     forward, sideways, turn = motion
     if name == "imu.gz":
@@ -300,7 +300,7 @@ def _felt(world: World, name: str, motion: tuple[Array, Array, Array], r: Mappin
     return c * fx + s * fy if name == "imu.ax" else c * fy - s * fx
 
 
-def _displaced(world: World, body: Outputs, motion: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+def displaced(world: World, body: Outputs, motion: tuple[Array, Array, Array]) -> tuple[Array, Array]:
     """(E, 3) by how much the path is displaced at each stamp since its window's start, and (K, 3) at windows' ends."""
     t = world.body_inputs.imu
     at = world.stamps
@@ -326,7 +326,7 @@ def _displaced(world: World, body: Outputs, motion: tuple[Array, Array, Array]) 
     return moved, moved[world.ends]
 
 
-def _seen(world: World, body: Outputs, name: str, moved: Array) -> Array:
+def seen(world: World, body: Outputs, name: str, moved: Array) -> Array:
     """What one channel reads of a displaced path."""
     at = world.at[name]
     far = moved[at]

@@ -61,6 +61,10 @@ def values_of(fit: Fit, effect: str) -> dict[str, Value]:
     return out
 
 
+ALIKE = {"command_delay": ("motor_lag", "tau"), "motor_lag": ("command_delay", "delay")}
+"""To first order one does what the other does: what both could do within their tolerances is immaterial."""
+
+
 def is_material(effect: str, values: Mapping[str, float | str], known: EffectSet, reach: Reach, config: Config) -> bool:
     """Whether an effect is larger than its tolerance, against what the simulator already models."""
     definition = EFFECTS[effect]
@@ -70,6 +74,8 @@ def is_material(effect: str, values: Mapping[str, float | str], known: EffectSet
         small = config.tolerances.get(f"{effect}.{parameter.name}", tolerance(effect, parameter.name, reach))
         if small is None or parameter.text:
             continue
+        if effect in ALIKE and effect not in known:
+            small += config.tolerances.get(".".join(ALIKE[effect]), tolerance(*ALIKE[effect], reach) or 0.0)
         value, neutral = float(values[parameter.name]), float(base[parameter.name])
         if np.isinf(neutral):
             top = {"speed_limit": reach.speed, "accel_limit": reach.acceleration, "gyro_clip": reach.turn}[effect]

@@ -361,9 +361,23 @@ def linearise(
 
 
 def linearised(
-    problem: Problem, inside: Model, tried: Sequence[Candidate], scope: str, spread: float = 1.0, own: bool = True
+    problem: Problem,
+    inside: Model,
+    tried: Sequence[Candidate],
+    scope: str,
+    spread: float = 1.0,
+    own: bool = True,
+    more: tuple[Sequence[str], Sequence[Mapping[str, White]]] = ((), ()),
 ) -> tuple[list[dict[str, White]], Normal]:
-    """White residual and columns about a model of this scope, and their normal equations."""
+    """White residual and columns about a model of this scope, and their normal equations. more: further columns."""
     columns = columns_of(inside, tried, spread) if own or tried else []
     white, logs = whitened(problem, inside, columns, scope)
-    return white, normal_equations(white, [one.key for one in columns], logs)
+    keys = [one.key for one in columns]
+    for mine, theirs in zip(white, more[1], strict=False):
+        for name, one in theirs.items():
+            index = np.concatenate((mine[name].index, len(keys) + one.index))
+            mine[name] = dataclasses.replace(
+                mine[name], columns=np.concatenate((mine[name].columns, one.columns)), index=index
+            )
+    keys += more[0]
+    return white, normal_equations(white, keys, logs)

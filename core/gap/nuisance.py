@@ -50,7 +50,9 @@ def limits(keys: Sequence[str]) -> Array:
     """(P,) tolerance of each column "effect.parameter[@...]"; 0 where a column is no nuisance."""
     out = np.zeros(len(keys))
     for i, key in enumerate(keys):
-        if "*" in key:
+        if key.startswith("~"):
+            out[i] = 1.0  # a flaw of no effect (`discrepancy.py`), in units of what is immaterial
+        if "*" in key or key.startswith("~"):
             continue
         name, _, start = key.partition("@")
         effect, parameter = name.split(".")

@@ -148,8 +148,22 @@ def gyro_left(problem: Problem, fit: Fit) -> list[tuple[Array, Array]]:
         if "imu.gz" in one:  # at its clip a gyro's noise has one side: that is no offset
             free = np.abs(world.readings["imu.gz"]) < limit
             free &= np.abs(one["imu.gz"].residual) < FAR  # an edge that is modelled a little late is no walk
+            calm = free & _steady(problem, fit, world)
+            free = calm if calm.sum() > STEADY * free.sum() else free
             out.append((one["imu.gz"].t[free], one["imu.gz"].residual[free] * sigma))
     return out
+
+
+STEADY, ABRUPT = 0.3, 0.1
+"""At least so many readings must be steady; turn acceleration below this share of the strongest is."""
+
+
+def _steady(problem: Problem, fit: Fit, world: World) -> npt.NDArray[np.bool_]:
+    """(N,) gyro readings while the robot rests or turns evenly: a bias walks then too, dynamics do not."""
+    turn = world.channel(world.body([problem.overlay(fit.model, "body")]), "imu.gz")[0]
+    change = np.abs(np.gradient(turn)) / np.maximum(np.gradient(world.times["imu.gz"]), 1e-6)
+    calm: npt.NDArray[np.bool_] = change < ABRUPT * np.quantile(change, 0.98)
+    return calm
 
 
 def outliers(problem: Problem, model: EffectSet) -> list[Scatter]:

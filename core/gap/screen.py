@@ -99,6 +99,12 @@ class Screen:
         cross = self.a[at, kept]
         return float(self.g[at] - cross @ part[:, 0]), float(self.a[at, at] - cross @ part[:, 1])
 
+    def dim(self, tried: Sequence[Candidate]) -> frozenset[str]:
+        """Effects of one parameter of which these runs could not see as much as their tolerance."""
+        named = sorted(set(self.effects[: self.own]))
+        pairs = [(one.effect, at[0]) for one, at in zip(tried, self.places, strict=False) if len(at) == 1]
+        return frozenset(e for e, i in pairs if self.limit[i] and self._beside(i, named)[1] * self.limit[i] ** 2 < 1.0)
+
     def _weight(self, at: int, named: Sequence[str]) -> float:
         score, info = self._beside(at, named)
         return score / max(info, 1e-12)

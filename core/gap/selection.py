@@ -11,15 +11,16 @@ import numpy.typing as npt
 
 from core.effects import EFFECTS
 from core.gap.candidates import Candidate
+from core.gap.discrepancy import flaws
 from core.gap.fit import Fit, cost_of, fit_at, parameters_of, refit, with_trifles, without
-from core.gap.generic import Shape
-from core.gap.linear import Model, Normal, Problem, linearise, linearised, nuisances_of, secants_of, with_floor
+from core.gap.generic import TRIFLE, Shape
+from core.gap.linear import Model, Problem, linearise, linearised, nuisances_of, secants_of, with_floor
 from core.gap.places import placed, polish
 from core.gap.scatter import gyro_left, gyro_walk
 from core.gap.screen import Screen
 from core.gap.unknown import blocked_by, rest_of
 from core.gap.visible import Sight
-from core.gap.world import WHEELS
+from core.gap.world import IMU, WHEELS
 from core.robot import EffectSet
 
 Array = npt.NDArray[np.float64]
@@ -86,21 +87,17 @@ def search(
     unknown: tuple[Shape, float] | None = None
     sight: Sight | None = None
     for _ in range(MOST):
-        fresh = [one for one in tried if one.effect not in fit.model]
-        if unknown is not None:
-            fresh = [one for one in fresh if not blocked_by(unknown[0]) & set(EFFECTS[one.effect].streams)]
+        fresh = _fresh(tried, fit, unknown)
         problem, fit, screen = screened(problem, fit, [*fresh, *aside], scope)
         sight = Sight(screen.a, screen.own, tuple(fresh))
-        sight = Sight(screen.a, screen.own, tuple(fresh))
-        tolerated = tolerated or _tolerated(screen.normal, fresh)
+        tolerated = tolerated or _tolerated(screen, fresh)
         gain = screen.gains(fresh)
-        left = _excess(fit)
         paired = screen.pair(fresh, gain, PAIRED)
         if unknown is None and scope != "wheels":
             local, brings = _put(problem, fit, scope)
             fresh, gain = [*fresh, *local], np.concatenate((gain, brings))
         gains = _best_of(fresh, gain)
-        chosen = [one for one in _starts(fresh, gain) if _enough(one.effect, gains[one.effect], worth, tolerated, left)]
+        chosen = _worthy(problem, fit, screen, (fresh, gain), worth, tolerated)
         fits = [
             (one.effect, refit(problem, {**fit.model, one.effect: dict(one.start)}, scope, BRIEF)) for one in chosen
         ]
@@ -125,22 +122,49 @@ def search(
         steps += [Step(f"add {one}", weighed) for one in name.split("+")]
         best, dropped = _drop(problem, best, scope, worth)
         steps += [Step(f"drop {one}") for one in dropped]
-        if name == "slip_patch":
-            best = _polished(problem, best, scope)
+        best = _polished(problem, best, scope) if name == "slip_patch" else best
         problem = with_floor(problem, best.model)
         fit = refit(problem, best.model, scope)
+    problem, fit = _ended(problem, fit, [*tried, *aside], scope)
+    return Found(fit, problem, tuple(steps), gains, _earned(problem, fit, scope), unknown, tolerated, sight)
+
+
+def _fresh(tried: Sequence[Candidate], fit: Fit, unknown: tuple[Shape, float] | None) -> list[Candidate]:
+    """Candidates that are not in the model, nor in channels where an unknown cause is at work."""
+    blocked = blocked_by(unknown[0]) if unknown is not None else frozenset()
+    return [one for one in tried if one.effect not in fit.model and not blocked & set(EFFECTS[one.effect].streams)]
+
+
+def _ended(problem: Problem, fit: Fit, tried: Sequence[Candidate], scope: str) -> tuple[Problem, Fit]:
+    """A patch's last centimetre, the nuisances beside the last model, and the scatter between its blocks."""
     if "slip_patch" in fit.model and _loss(fit, "slip_patch") > POLISHED * fit.normal.n.sum():
         fit = _polished(problem, fit, scope, (0.04, 0.02, 0.01, 0.005, 0.002))
     if not problem.nuisances.keys:
-        rest = [one for one in tried if one.effect not in fit.model]
-        problem, fit, _ = screened(problem, fit, [*rest, *aside], scope)
-    fit = fit_at(problem, fit.model, scope, scores=True)
-    return Found(fit, problem, tuple(steps), gains, _earned(problem, fit, scope), unknown, tolerated, sight)
+        problem, fit, _ = screened(problem, fit, [one for one in tried if one.effect not in fit.model], scope)
+    return problem, fit_at(problem, fit.model, scope, scores=True)
+
+
+def _worthy(
+    problem: Problem,
+    fit: Fit,
+    screen: Screen,
+    promised: tuple[Sequence[Candidate], Array],
+    worth: float,
+    tolerated: Mapping[str, float],
+) -> list[Candidate]:
+    """Of candidates and their promised gains, those that are worth a fit."""
+    fresh, gain = promised
+    gains, left, crumbs, dim = _best_of(fresh, gain), _excess(fit), _crumbs(problem, fit), screen.dim(fresh)
+    return [
+        one
+        for one in _starts(fresh, gain)
+        if _enough(one.effect, gains[one.effect], worth, tolerated, left, crumbs if one.effect in dim else {})
+    ]
 
 
 def screened(problem: Problem, fit: Fit, fresh: Sequence[Candidate], scope: str) -> tuple[Problem, Fit, Screen]:
     """All candidates about a fit; the problem with what is immaterial of them beside it, and the fit beside that."""
-    white, normal = linearised(problem, fit.model, fresh, scope)
+    white, normal = linearised(problem, fit.model, fresh, scope, more=flaws(problem, fit.model, scope))
     problem = dataclasses.replace(problem, nuisances=nuisances_of(white, normal))
     fit = refit(problem, fit.model, scope)
     whole = [i for i, key in enumerate(normal.keys) if "*" in key]
@@ -174,20 +198,38 @@ def _excess(fit: Fit) -> dict[str, float]:
     return dict(zip(fit.normal.channels, over.tolist(), strict=True))
 
 
-def _enough(effect: str, gain: float, worth: float, tolerated: Mapping[str, float], left: Mapping[str, float]) -> bool:
+def _crumbs(problem: Problem, fit: Fit) -> dict[str, float]:
+    """Per IMU axis, the deviance that a shape of immaterial size brings."""
+    n = dict(zip(fit.normal.channels, fit.normal.n.sum(axis=1).tolist(), strict=True))
+    return {name: n[name] * (TRIFLE[name] / problem.floor.sigma[name]) ** 2 for name in IMU if name in n}
+
+
+def _enough(
+    effect: str,
+    gain: float,
+    worth: float,
+    tolerated: Mapping[str, float],
+    left: Mapping[str, float],
+    crumbs: Mapping[str, float],
+) -> bool:
     """Whether an effect's promise is worth a fit.
 
     It must take a good part of what is left of the channels that it moves: where little is taken, something else is at
-    work there. A limit must bring what tolerated flaws of its channels would.
+    work there. One that only the IMU sees, and not at its tolerance, must bring more than an immaterial shape that
+    is a little like it. A limit must bring what tolerated flaws of its channels would.
     """
     moved = [name for name in EFFECTS[effect].streams if name in left]
     part = TAKES["wheels" if moved and moved[0] in WHEELS else "body"]
     worth = max(worth, part * max((left[name] for name in moved), default=0.0))
+    if moved and all(name in crumbs for name in moved):
+        worth = max(worth, ALIKE * min(crumbs[name] for name in moved))
     if effect in LIMITS:
         worth = max(worth, CRUMB * max((tolerated.get(name, 0.0) for name in EFFECTS[effect].streams), default=0.0))
     return gain >= worth
 
 
+ALIKE = 0.1
+"""Share of its deviance that a shape may have in common with an effect by chance."""
 CRUMB, TAKES = 0.25, {"wheels": 0.4, "body": 0.15}
 
 
@@ -220,9 +262,9 @@ def _earned(problem: Problem, fit: Fit, scope: str) -> dict[str, float]:
     return out
 
 
-def _tolerated(normal: Normal, tried: Sequence[Candidate]) -> dict[str, float]:
+def _tolerated(screen: Screen, tried: Sequence[Candidate]) -> dict[str, float]:
+    normal, at = screen.normal, screen.own
     found: dict[str, list[float]] = {name: [] for name in normal.channels}
-    at = len(normal.keys) - sum(len(one.keys) for one in tried)
     for one in tried:
         for name in one.keys:
             parameter = name.split(".")[-1]

@@ -13,6 +13,7 @@ from core.effects.base import BODY_STREAMS
 from core.gap.fit import Fit, without
 from core.gap.generic import TRIFLE, Shape, generic_columns
 from core.gap.linear import HUBER, Problem, White, columns_of, loss, whitened
+from core.gap.nuisance import Nuisances, bounded
 
 Array = npt.NDArray[np.float64]
 
@@ -53,11 +54,12 @@ def rest_of(problem: Problem, fit: Fit) -> Rest:
     m, count, more = len(own), len(shapes), len(nuisances.keys)
     score, info = np.zeros(count), np.zeros(count)
     cross, aside = np.zeros((count, m + more)), np.zeros((m, more))
-    base, inside = np.zeros(m), np.zeros((m, m))
+    base, inside, left_over = np.zeros(m), np.zeros((m, m)), np.zeros(more)
     for mine, theirs, flaws in zip(white, generic, nuisances.rows or ({},) * len(white), strict=True):
         for name, one in mine.items():
             weight = HUBER / np.maximum(np.abs(one.residual), HUBER)
             flaw, place = flaws.get(name, (np.zeros((0, len(weight))), np.zeros(0, dtype=np.int64)))
+            left_over[place] += flaw @ (weight * one.residual)
             if len(one.index):
                 weighted = one.columns * weight
                 base[one.index] += weighted @ one.residual
@@ -84,6 +86,9 @@ def rest_of(problem: Problem, fit: Fit) -> Rest:
     size = np.abs(weight_of) * part * np.array([sizes.get(shape.key, np.inf) for shape in shapes])
     limit = np.array([TRIFLE.get(shape.channel, 0.0) for shape in shapes])
     order = np.argsort(-gain)[:12]
+    gain[order] = np.minimum(
+        gain[order], _within(nuisances, fit, (base, left_over, inside, aside), score, info, cross, order)
+    )
     exact = [
         gain[i] if k >= REFITTED else gain[i] * min(_exact(white, generic, int(i), m) / max(alone[i], 1e-9), 50.0)
         for k, i in enumerate(order)
@@ -92,6 +97,27 @@ def rest_of(problem: Problem, fit: Fit) -> Rest:
     excess = {name: float(sum(fit.normal.c[i]) - sum(fit.normal.n[i])) for i, name in enumerate(fit.normal.channels)}
     told = tuple((shapes[i], float(value)) for i, value in ranked if value > 0.0)
     return Rest(told, excess, {shapes[i].key: float(size[i] / max(limit[i], 1e-12)) for i in order})
+
+
+def _within(
+    nuisances: Nuisances, fit: Fit, known: tuple[Array, Array, Array, Array], score: Array, info: Array, cross: Array,
+    chosen: npt.NDArray[np.int64],
+) -> Array:  # fmt: skip
+    """What nuisances within their tolerances leave to the chosen shapes. known: own and nuisances' pulls, products."""
+    base, left, inside, aside = known
+    m, every = len(base), np.flatnonzero(nuisances.beside(list(fit.model)))
+    at = fit.trifles[every]
+    rest = np.block([[inside, aside[:, every]], [aside[:, every].T, nuisances.a[np.ix_(every, every)]]])
+    far = np.concatenate((base + aside[:, every] @ at, left[every] + rest[m:, m:] @ at))
+    sd, top = (np.concatenate((np.full(m, np.inf), one[every])) for one in (nuisances.sd, nuisances.limit))
+    before = bounded(rest, far, sd, top)[1]
+    out = []
+    for i in chosen:
+        side = cross[i, np.concatenate((np.arange(m), m + every)).astype(int)]
+        both = np.block([[rest, side[:, None]], [side[None, :], np.array([[info[i]]])]])
+        pulls = np.append(far, score[i] + side[m:] @ at)
+        out.append(max(bounded(both, pulls, np.append(sd, np.inf), np.append(top, np.inf))[1] - before, 0.0))
+    return np.array(out)
 
 
 def _taken(score: Array, info: Array, cross: Array, inside: Array, pull: Array) -> tuple[Array, Array, Array]:

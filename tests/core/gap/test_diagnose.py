@@ -79,6 +79,17 @@ def test_a_flaw_below_its_tolerance_is_told_apart() -> None:
     assert "track_width" in [one.effect for one in found.immaterial]
 
 
+def test_a_servo_that_lags_otherwise_in_turning_is_no_cause() -> None:
+    run = made({})
+    assert run.wheels is not None
+    half = 0.5 * (run.wheels.right - run.wheels.left)
+    late = 0.003 * np.gradient(half) / np.gradient(run.wheels.t)
+    wheels = dataclasses.replace(run.wheels, left=run.wheels.left + late, right=run.wheels.right - late)
+    found = diagnose([dataclasses.replace(run, wheels=wheels)])
+    assert found.verdict == "none"
+    assert not causes(found)
+
+
 def test_a_sheet_that_is_wrong_for_all_sensors_is_no_cause() -> None:
     found = diagnose([made({}, stated=1 / 1.5)])
     assert found.verdict == "none"
