@@ -33,6 +33,12 @@ FLAGS = [
     "--disable-dev-shm-usage",
     "--disable-background-networking",
 ]
+# 3D in software takes a core at full rate; a few pictures a second show the same.
+SLOW_3D = """if (location.pathname.startsWith("/scene")) {
+    const soon = window.requestAnimationFrame.bind(window);
+    window.requestAnimationFrame = (draw) => window.setTimeout(() => soon(draw), 150);
+    window.cancelAnimationFrame = (waiting) => window.clearTimeout(waiting);
+}"""
 PATIENCE_MS = 60_000  # for what a slow, shared machine may take; nothing waits that long when it works
 expect.set_options(timeout=PATIENCE_MS)
 
@@ -174,6 +180,7 @@ def new_page(server: Server, browser: Browser, watch: Watch) -> Iterator[Callabl
         options.setdefault("viewport", {"width": 1280, "height": 800})
         context = browser.new_context(base_url=server.url, **options)
         context.set_default_timeout(PATIENCE_MS)
+        context.add_init_script(SLOW_3D)
         contexts.append(context)
         page = context.new_page()
         watch.follow(page)
