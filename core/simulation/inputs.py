@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -35,7 +37,7 @@ def prepare(run: Run, restarts: Array | None = None) -> Inputs:
             warmth = np.nan_to_num(degrees - degrees[known[0]])
     anchor, anchors = beacon_table(run)
     others = [log.t[-1:] for log in (run.wheels, run.beacon, run.ranges, run.truth) if log is not None]
-    return Inputs(
+    inputs = Inputs(
         times=times,
         left=_with_slopes(times, left),
         right=_with_slopes(times, right),
@@ -54,6 +56,12 @@ def prepare(run: Run, restarts: Array | None = None) -> Inputs:
         anchors=anchors,
         truth=_stamps(run.truth.t if run.truth else NO_STAMPS),
     )
+    # a stored run's arrays are read-only, for which the kernels would be compiled once more
+    fields: dict[str, Any] = inputs._asdict()
+    for name, one in fields.items():
+        if isinstance(one, np.ndarray):
+            fields[name] = np.require(one, requirements=("C", "W"))
+    return Inputs(**fields)
 
 
 def begin_of(run: Run) -> float:

@@ -71,6 +71,7 @@ def simulate_sets(inputs: Inputs, sets: Array, *, parallel: bool = True) -> tupl
 
     For fitting, where one run meets thousands of parameter sets: prepare once, change slots, call again.
     """
+    sets = np.require(sets, np.float64, ("C", "W"))
     ends = np.array([last_instant(inputs, par) for par in sets])
     out = blank_outputs(inputs, len(sets))
     status = np.full(len(sets), -1, np.int64)
