@@ -20,6 +20,15 @@ def add_commands(commands: Any, run_help: str) -> None:
         metavar="NAME",
         help="one registered in DRIFTSCOPE_SIMULATORS, or sim/ of every RUN (default nominal)",
     )
+    diagnose.add_argument(
+        "--tolerance",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="EFFECT.PARAMETER=SIZE",
+        help="what is smaller is immaterial, in place of the table's size, as track_width.scale=0.01",
+    )
+    diagnose.add_argument("--seed", type=_seed, default=0, metavar="N", help="of every random draw (default 0)")
     diagnose.add_argument("--data", type=Path, help="data folder of stored runs (default data)")
     diagnose.set_defaults(run=_diagnose)
 
@@ -28,15 +37,18 @@ def _diagnose(options: argparse.Namespace) -> int:
     from app.cli import OK, _progress, run_of, write_json
     from app.settings import Settings
     from app.simulators import chosen
-    from core.gap import as_json, diagnose, evidence_json
+    from core.gap import Config, as_json, diagnose, evidence_json
+    from core.gap.checks import check_tolerances
 
+    config = Config(tolerances=_sizes(options.tolerance), seed=options.seed)
+    check_tolerances(config.tolerances, "--tolerance")
     progress = _progress("diagnose")
     runs = [run_of(source, options.data) for source in options.sources]
     held_out = [run_of(source, options.data) for source in options.held_out]
     path = Settings.from_env().simulators
     every = [*options.sources, *options.held_out]
     foreign = [one for source in every if (one := chosen(options.simulator, path, Path(source))) is not None]
-    diagnosis = diagnose(runs, foreign or None, held_out, progress=progress)
+    diagnosis = diagnose(runs, foreign or None, held_out, config, progress)
     found = as_json(diagnosis)
     progress(1.0, "done")
     if options.evidence:
@@ -46,6 +58,29 @@ def _diagnose(options: argparse.Namespace) -> int:
     if options.json != "-":
         sys.stdout.write(told(found))
     return OK
+
+
+def _seed(text: str) -> int:
+    """A seed for numpy's generators."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"expected a whole number of 0 or more, found {text!r}")
+    return int(text)
+
+
+def _sizes(given: list[str]) -> dict[str, float]:
+    """`EFFECT.PARAMETER=SIZE` by key. Raises ParameterError."""
+    from core.errors import ParameterError
+
+    out = {}
+    for text in given:
+        key, _, size = text.partition("=")
+        try:
+            out[key] = float(size)
+        except ValueError:
+            raise ParameterError(
+                f"--tolerance {text}: expected EFFECT.PARAMETER=SIZE, as track_width.scale=0.01", parameter="tolerance"
+            ) from None
+    return out
 
 
 def told(found: dict[str, Any]) -> str:

@@ -22,7 +22,6 @@ from app.settings import Settings
 from app.simulators import OURS, registered
 from app.store import diagnoses as store
 from app.store import runs as run_store
-from core.effects import EFFECTS
 from core.effects.chosen import effects_of
 from core.errors import ParameterError
 
@@ -154,7 +153,7 @@ def get_diagnosis_patch(
 
 def check_request(session: Session, settings: Settings, wanted: wire.DiagnoseRequest) -> None:
     """Raises NotFoundError, ParameterError, MissingStreamError, NotEnoughDataError: what a job would fail of."""
-    from core.gap.checks import check_runs
+    from core.gap.checks import check_runs, check_tolerances
 
     for field, given in (("runs", wanted.runs), ("held_out", wanted.held_out)):
         twice = next((run_id for run_id in given if given.count(run_id) > 1), None)
@@ -166,14 +165,7 @@ def check_request(session: Session, settings: Settings, wanted: wire.DiagnoseReq
         raise ParameterError(
             f"held-out run “{name}” was also given to fit; give a run that was not", parameter="held_out", found=both
         )
-    for key in wanted.options.tolerances:
-        effect, _, parameter = key.partition(".")
-        if effect not in EFFECTS or all(p.name != parameter for p in EFFECTS[effect].parameters):
-            raise ParameterError(
-                f"options.tolerances: there is no {key!r}; expected effect.parameter, as track_width.scale",
-                parameter=f"options.tolerances.{key}",
-                found=key,
-            )
+    check_tolerances(wanted.options.tolerances, "options.tolerances")
     simulator, known = wanted.options.simulator, [OURS, *registered(settings.simulators)]
     if simulator is not None and simulator not in known:
         raise ParameterError(

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from core.effects import EFFECTS
 from core.errors import MissingStreamError, NotEnoughDataError, ParameterError
 from core.robot import EffectSet
 from core.run import Run
@@ -43,6 +45,31 @@ def check_runs(runs: Sequence[Run], held_out: Sequence[Run]) -> None:
                 parameter="held_out",
             )
     _moving(runs)
+
+
+def check_tolerances(given: Mapping[str, float], name: str = "tolerances") -> None:
+    """Sizes by "effect.parameter"; `name` is what the user calls them. Raises ParameterError."""
+    for key, size in given.items():
+        effect, _, parameter = key.partition(".")
+        known = {p.name: p for p in EFFECTS[effect].parameters} if effect in EFFECTS else {}
+        if parameter not in known:
+            raise ParameterError(
+                f"{name}: there is no {key!r}; expected effect.parameter, as track_width.scale",
+                parameter=f"{name}.{key}",
+                found=key,
+            )
+        if known[parameter].small is None:
+            sized = [f"{effect}.{p.name}" for p in known.values() if p.small is not None]
+            raise ParameterError(
+                f"{name}: {key} has no size that matters by itself; set {' or '.join(sized) or 'another effect'}",
+                parameter=f"{name}.{key}",
+                expected=sized,
+                found=key,
+            )
+        if not (math.isfinite(size) and size > 0.0):
+            raise ParameterError(
+                f"{name}: {key} must be a size above 0, found {size:g}", parameter=f"{name}.{key}", found=size
+            )
 
 
 def _drivable(run: Run) -> None:

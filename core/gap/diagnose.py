@@ -13,10 +13,11 @@ import time
 from collections.abc import Mapping, Sequence
 
 from core.gap.beside import against
-from core.gap.checks import check_runs, simulator_of
+from core.gap.checks import check_runs, check_tolerances, simulator_of
 from core.gap.conclude import conclude
 from core.gap.explain import Progress, silent
 from core.gap.reference import restarts_of
+from core.gap.rolling import rolling
 from core.gap.searched import searched
 from core.gap.stretches import on_a_part
 from core.gap.types import Config, Diagnosis
@@ -41,12 +42,13 @@ def diagnose(
     """
     began = time.perf_counter()
     config = config or Config()
+    check_tolerances(config.tolerances)
     check_runs(runs, held_out)
     progress(0.0, "aligning")
     runs, held_out, known = _seen(runs, held_out, simulator, config.seed)
     one = searched(runs, known, config.window, progress)
     progress(0.7, "scoring")
-    kept = tuple(make_world(run, restarts_of(run, config.window, one.found.model)) for run in held_out)
+    kept = tuple(rolling(make_world(run, restarts_of(run, config.window, one.found.model))) for run in held_out)
     part = None if kept else on_a_part(runs, one.found, one.tried, known, config)
     out = conclude(one.found, one.worlds, kept, one.reach, known, config, part)
     return dataclasses.replace(out, runtime_s=time.perf_counter() - began)

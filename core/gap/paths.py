@@ -13,6 +13,7 @@ from core.gap.curves import heading_of
 from core.gap.energy import SPAN, Energy
 from core.gap.evidence import FreeRun, PathTrace, Poses, RunEvidence, Timeline
 from core.gap.motion import Motion
+from core.gap.rolling import with_past
 from core.gap.world import World
 from core.robot import EffectSet, Pose
 from core.simulation import params as P
@@ -111,9 +112,11 @@ def free_run(world: World, model: EffectSet) -> FreeRun | None:
         return None
     t, poses = real
     bare = dataclasses.replace(run, imu=None, beacon=None, ranges=None, truth=None, wheels=None)
-    inputs = prepare(bare if run.commands is not None else dataclasses.replace(bare, wheels=run.wheels))
-    inputs = inputs._replace(truth=t, wheels=np.empty(0))
     start = Pose(float(poses.x[0]), float(poses.y[0]), float(poses.theta[0]))
+    driven = bare if run.commands is not None else dataclasses.replace(bare, wheels=run.wheels)
+    inputs = prepare(driven, np.array([[t[0], start.x, start.y, start.theta]]))
+    inputs = inputs._replace(truth=t, wheels=np.empty(0))
+    inputs = with_past(inputs, run) if run.commands is not None else inputs
     moving = {k: v for k, v in model.items() if EFFECTS[k].family in ("drive", "kinematics", "ground")}
     if run.commands is None:
         moving = {k: v for k, v in moving.items() if EFFECTS[k].family != "drive"}

@@ -13,6 +13,7 @@ from core.gap.explain import Progress, Search, explain, silent
 from core.gap.floor import Floor
 from core.gap.linear import Problem, with_floor
 from core.gap.reference import restarts_of
+from core.gap.rolling import rolling
 from core.gap.world import World, make_world
 from core.robot import EffectSet
 from core.run import Run
@@ -37,7 +38,7 @@ class Searched:
 
 def searched(runs: Sequence[Run], known: EffectSet, window: float, progress: Progress = silent) -> Searched:
     """Every effect that these runs show beside what the simulator already models."""
-    worlds = tuple(make_world(run, restarts_of(run, window)) for run in runs)
+    worlds = tuple(rolling(make_world(run, restarts_of(run, window))) for run in runs)
     problem = with_floor(Problem(worlds, Floor({}, {}, {}), known), {})
     reach = reach_of(worlds)
     tried = candidates(worlds[0].channels, list(runs[0].meta.beacons), reach, known, _warm(runs))
@@ -48,7 +49,7 @@ def searched(runs: Sequence[Run], known: EffectSet, window: float, progress: Pro
             break
         progress(0.6, "again from the path set right")
         before = found.body.fit.cost
-        worlds = tuple(make_world(run, restarts_of(run, window, found.model)) for run in runs)
+        worlds = tuple(rolling(make_world(run, restarts_of(run, window, found.model))) for run in runs)
         found = explain(with_floor(Problem(worlds, Floor({}, {}, {}), known), {}), tried)
         if found.body.fit.cost > before - BETTER:
             break
@@ -69,7 +70,10 @@ def reach_of(worlds: Sequence[World]) -> Reach:
     """What the runs reach, from what drives them."""
     speed = acceleration = turn = 0.0
     for world in worlds:
-        for side in (world.body_inputs.left, world.body_inputs.right):
+        commands = world.run.commands
+        past = 0 if commands is None else int(world.body_inputs.times.searchsorted(commands.t[0]))
+        own = slice(past, None)
+        for side in (world.body_inputs.left[own], world.body_inputs.right[own]):
             speed = max(speed, float(np.abs(side[:, 0]).max(initial=0.0)))
             acceleration = max(acceleration, float(np.quantile(np.abs(side[:, 1]), 0.999)) if len(side) else 0.0)
         rate = world.body_inputs.right[:, 0] - world.body_inputs.left[:, 0]

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from core.gap.floor import Floor, stated, wrap
 from core.gap.reference import WINDOW
+from core.gap.rolling import with_past
 from core.gap.types import Figures, Gap
 from core.gap.whiten import windows_of
 from core.gap.world import WHEELS, World
@@ -54,7 +55,7 @@ def replay_inputs(world: World) -> Inputs | None:
     """What `replay` drives: to prepare once where one run is replayed many times. None where wheels drive."""
     if world.run.commands is None:
         return None
-    return prepare(world.run, world.restarts)._replace(truth=world.stamps)
+    return with_past(prepare(world.run, world.restarts)._replace(truth=world.stamps), world.run)
 
 
 def replay(world: World, sets: Sequence[EffectSet], floor: Floor, inputs: Inputs | None = None) -> list[Replay]:

@@ -65,7 +65,8 @@ async function patch(target) {
 
 function command() {
   const of = (held) => diagnosis.runs.filter((r) => r.held_out === held).map((r) => r.id).join(" ");
-  return `driftscope diagnose ${of(false)}${of(true) ? ` --held-out ${of(true)}` : ""}${diagnosis.simulator ? ` --simulator ${diagnosis.simulator}` : ""} --json diagnosis.json`;
+  const sizes = Object.entries(diagnosis.config.tolerances ?? {}).map(([key, size]) => `${key}=${size}`);
+  return `driftscope diagnose ${of(false)}${of(true) ? ` --held-out ${of(true)}` : ""}${sizes.length ? ` --tolerance ${sizes.join(" ")}` : ""}${diagnosis.seed ? ` --seed ${diagnosis.seed}` : ""}${diagnosis.simulator ? ` --simulator ${diagnosis.simulator}` : ""} --json diagnosis.json`;
 }
 
 function startTools() {
