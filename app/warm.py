@@ -47,7 +47,25 @@ def gap() -> None:
     figure(make_prepared(run, run.span, recorded=True, best=None), {})  # the sandbox's first move
 
 
-PARTS: dict[str, tuple[Callable[[], None], ...]] = {"paths": (paths,), "inertial": (inertial, gap)}
+def live() -> None:
+    """A virtual robot driven for a while, and every estimator that steps, on rows as a worker gets them."""
+    import numpy as np
+
+    from app.live.worker import as_run
+    from core.live import LiveEstimator
+    from core.live.virtual import META, VirtualRobot
+
+    robot, estimator = VirtualRobot(), LiveEstimator(META)
+    for k in range(1, 301):
+        piece = robot.step(0.05 * k, *((0.4, 0.8) if 40 < k < 240 else (0.0, 0.0)))
+        streams = {
+            name: {c: np.asarray(v, "<i2" if c == "beacon" else "<f8").tobytes() for c, v in log.columns().items()}
+            for name, log in piece.logs().items()
+        }
+        estimator.feed(as_run([{"streams": streams, "names": list(META.beacons)}]))
+
+
+PARTS: dict[str, tuple[Callable[[], None], ...]] = {"paths": (paths, live), "inertial": (inertial, gap)}
 
 
 def main() -> int:

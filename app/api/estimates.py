@@ -30,6 +30,7 @@ def create_estimates(
     """Queue a job that estimates the run by each method. A result by the same method and config is replaced."""
     run = arrays.run_from_manifest(settings.data, run_store.manifest(session, run_id))
     check_methods(run, wanted.methods)
+    check_config(run, wanted.config)
     params = {"methods": wanted.methods, "config": wanted.config}
     return schemas.Job(**jobs.get(jobs.submit("estimate", run_id, params)))
 
@@ -53,6 +54,13 @@ def check_methods(run: Any, methods: list[str] | None) -> None:
             )
         if reasons[method] is not None:
             raise MissingStreamError(f"{method} cannot run: {reasons[method]}", method=method, missing=reasons[method])
+
+
+def check_config(run: Any, config: dict[str, Any] | None) -> None:
+    """ParameterError for an option that no method has, or a value that none takes."""
+    from core.estimation.assumptions import assume
+
+    assume(run, config)
 
 
 @router.get("/runs/{run_id}/estimates", summary="List a run's estimates")

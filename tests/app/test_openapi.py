@@ -93,6 +93,8 @@ def test_operation_ids_stay(description: dict[str, Any]) -> None:
     }  # fmt: skip
 
 
+# Threads of the server draw from `random` at any moment; hypothesis takes that for the strategies' doing.
+@pytest.mark.filterwarnings("ignore:Do not use the `random` module inside strategies")
 def test_whatever_is_asked(served: str, stored: str) -> None:
     """Generated requests to every operation: never a 5xx, always an answer that the description allows."""
     known = {"run_id": stored, "stream": "imu"}

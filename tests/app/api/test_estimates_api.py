@@ -78,11 +78,13 @@ def test_methods_that_cannot_run_are_refused_at_once(
     assert code is None or refused.json()["code"] == code
 
 
-def test_a_config_that_no_method_knows_fails_the_job(server: TestClient, run_id: str) -> None:
-    asked = server.post(f"{API}/runs/{run_id}/estimates", json={"methods": ["encoders"], "config": {"luck": 1}})
-    job = {j["id"]: j for j in finished(server, run_id)}[asked.json()["id"]]
-    assert (job["state"], job["error"]["code"]) == ("failed", "parameter")
-    assert "luck" in job["error"]["detail"]
+@pytest.mark.parametrize("config", [{"luck": 1}, {"gate": -1}, {"gate": "wide"}])
+def test_an_option_that_no_method_takes_is_refused_at_once(
+    server: TestClient, run_id: str, config: dict[str, Any]
+) -> None:
+    refused = server.post(f"{API}/runs/{run_id}/estimates", json={"methods": ["encoders"], "config": config})
+    assert (refused.status_code, refused.json()["code"]) == (422, "parameter")
+    assert next(iter(config)) in refused.json()["detail"]
 
 
 def test_series_are_thinned_and_windowed(server: TestClient, estimates: dict[str, dict[str, Any]]) -> None:
