@@ -82,10 +82,13 @@ def command(times: Array, values: Array, j: int, t: float) -> Piece:
 
 
 @inlined
-def set_point(raw: Piece, h: float, sag: float, fade: float, par: Array) -> tuple[float, Piece]:
-    """Dead band, gain and sag on a set-point: (h cut at the band's edge, what is left of it). fade: sag's slope."""
+def set_point(raw: Piece, h: float, sag: float, fade: float, span: float, par: Array) -> tuple[float, Piece]:
+    """Dead band, gain and sag on a set-point: (h cut at the band's edge, what is left of it).
+
+    fade: sag's slope over `span`, which is the same for both wheels, whichever of them cut h.
+    """
     c, m, _ = raw
-    width, whole = par[P.WIDTH], h
+    width = par[P.WIDTH]
     if width > 0.0:
         if m != 0.0:
             for edge in (-width, width):
@@ -98,7 +101,7 @@ def set_point(raw: Piece, h: float, sag: float, fade: float, par: Array) -> tupl
     if fade == 0.0:
         return h, (gain * sag * c, gain * sag * m, 0.0)
     # taken as linear: within a piece the sag's curvature is below 1e-9 m/s
-    return h, (gain * sag * c, gain * (sag * m + fade * (c + m * whole)), 0.0)
+    return h, (gain * sag * c, gain * (sag * m + fade * (c + m * span)), 0.0)
 
 
 @inlined
@@ -108,16 +111,16 @@ def limit_acceleration(piece: Piece, z: float, a: float, h: float, decay: float,
     ahead = p + c - z
     slope = q - c * itau
     caught = abs(ahead) <= SNAP
-    if caught and abs(slope) <= a * (1.0 + 1e-12):
-        if c == 0.0:
-            return h, piece
-        end = q - c * itau * decay
-        if abs(end) > a * (1.0 + 1e-9):
-            reached = (q - np.sign(end) * a) / (c * itau)
-            cut = -np.log(reached) / itau if 0.0 < reached < 1.0 else h
-            h = cut if EVENT < cut < h else h
-        return h, piece
     sign = np.sign(slope) if caught else np.sign(ahead)
+    if caught and abs(slope) <= a * (1.0 + 1e-12):
+        end = q - c * itau * decay
+        if c == 0.0 or abs(end) <= a * (1.0 + 1e-9):
+            return h, piece
+        reached = (q - np.sign(end) * a) / (c * itau)
+        cut = -np.log(reached) / itau if 0.0 < reached < 1.0 else 0.0
+        if cut > EVENT:
+            return min(cut, h), piece
+        sign = np.sign(end)  # from here on: the other wheel may have cut the piece before at the same instant
     line = (p + c if caught else z, sign * a, 0.0)
     if sign * (p + q * h + c * decay - line[0] - line[1] * h) < 0.0:
         h = max(crossing(piece, line, h, itau), EVENT)
@@ -152,15 +155,15 @@ def cut_at_zero(piece: Piece, h: float, decay: float, itau: float) -> float:
 
 @inlined
 def wheel(
-    raw: Piece, h: float, half: float, sag: float, fade: float, y: float, z: float, par: Array
+    raw: Piece, h: float, half: float, sag: float, fade: float, span: float, y: float, z: float, par: Array
 ) -> tuple[float, float, Piece, Piece, Piece]:
     """One wheel's chain: h cut at its first event, exp(-h/2/tau); its speed after lag, acceleration and speed limit.
 
-    raw: set-point [m/s]; half: as of the given h; sag, fade: the sag and its slope; y, z: states of the lag and of the
+    raw: set-point [m/s]; half: as of the given h; sag, fade, span: as `set_point` takes them; y, z: states of the lag and of the
     acceleration limit.
     """
     tau, itau, known = par[P.TAU], par[P.ITAU], h
-    h, lagged = set_point(raw, h, sag, fade, par)
+    h, lagged = set_point(raw, h, sag, fade, span, par)
     half = halved(h, known, half, itau)
     if tau != 0.0:
         u, mu, _ = lagged

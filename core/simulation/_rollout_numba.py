@@ -266,15 +266,15 @@ def piece(
 ) -> tuple[int, int]:
     """Drive and body from the state's instant to `to` at most; left, right: set-points. Returns the next n and g."""
     t = state[T]
-    h = to - t
+    h = span = to - t
     sag, fade = 1.0, 0.0
     if par[P.SAG] != 0.0:
         sag = state[SAG] if state[SAGGED] == t else np.exp(-par[P.SAG] * t)
         state[SAG], state[SAGGED] = np.exp(-par[P.SAG] * to), to
         fade = (state[SAG] - sag) / h
     half = halved(h, 0.0, 1.0, par[P.ITAU])
-    h, half, lag_l, limited_l, rim_l = wheel(left, h, half, sag, fade, state[YL], state[ZL], par)
-    h, half, lag_r, limited_r, rim_r = wheel(right, h, half, sag, fade, state[YR], state[ZR], par)
+    h, half, lag_l, limited_l, rim_l = wheel(left, h, half, sag, fade, span, state[YL], state[ZL], par)
+    h, half, lag_r, limited_r, rim_r = wheel(right, h, half, sag, fade, span, state[YR], state[ZR], par)
     known = h
     if abs(lag_l[2]) + abs(lag_r[2]) > SETTLED:  # so that a cubic between nodes follows the exponential
         h = min(h, max(0.5 * par[P.TAU], MIN_STEP))

@@ -17,11 +17,12 @@ from numba import njit
 
 import core.simulation
 from core.effects import EFFECTS, Parameter
-from core.robot import EffectSet
+from core.robot import EffectSet, Pose
 from core.run import Run
 from core.simulation import _batch_numba, simulate
 from core.simulation import params as P
 from core.simulation.inputs import prepare
+from core.simulation.scenarios import SCENARIOS, Rates
 from core.simulation.simulate import simulate_sets
 
 Array = npt.NDArray[np.float64]
@@ -128,19 +129,23 @@ def test_any_plausible_values_settle(effects: EffectSet, wild: Run) -> None:
         assert np.isfinite(getattr(out, name)).all(), name
 
 
-def test_a_mirrored_drive_swaps_the_wheels(wild: Run) -> None:
-    """Events of one wheel cut the other's pieces: neither side may come first."""
-    assert wild.commands is not None
+def test_a_mirrored_drive_swaps_the_wheels() -> None:
+    """Events of one wheel cut the other's pieces, often at the same instant: neither side may come first."""
     drive: EffectSet = {
         "command_delay": {"delay": 0.05}, "motor_lag": {"tau": 0.08}, "speed_limit": {"v_max": 0.65},
         "accel_limit": {"a_max": 0.4}, "deadband": {"width": 0.02}, "battery_sag": {"rate": 1e-4},
+        "wheel_slip": {"k": 0.05}, "side_slip": {"k": 0.05},
     }  # fmt: skip
-    run = dataclasses.replace(wild, imu=None, beacon=None, ranges=None, truth=None)
-    other = dataclasses.replace(run, commands=dataclasses.replace(wild.commands, w=-wild.commands.w))
-    a, b = (simulate(r, drive, 0, noise=False).wheels for r in (run, other))
-    assert a is not None and b is not None
-    np.testing.assert_allclose(a.left, b.right, rtol=0, atol=1e-6)
-    np.testing.assert_allclose(a.right, b.left, rtol=0, atol=1e-6)
+    run = SCENARIOS["mission"].run(Rates(imu=0, beacon=0, ranges=0))
+    assert run.commands is not None
+    run = dataclasses.replace(run, meta=dataclasses.replace(run.meta, start=Pose()))
+    other = dataclasses.replace(run, commands=dataclasses.replace(run.commands, w=-run.commands.w))
+    a, b = (simulate(r, drive, 0, noise=False) for r in (run, other))
+    assert a.wheels is not None and b.wheels is not None and a.truth is not None and b.truth is not None
+    np.testing.assert_allclose(a.wheels.left, b.wheels.right, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(a.wheels.right, b.wheels.left, rtol=0, atol=1e-12)
+    for column, sign in (("x", 1.0), ("y", -1.0), ("theta", -1.0)):
+        np.testing.assert_allclose(getattr(a.truth, column), sign * getattr(b.truth, column), rtol=0, atol=1e-12)
 
 
 def test_cache_key_covers_every_kernel() -> None:
