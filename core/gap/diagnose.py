@@ -12,6 +12,7 @@ import dataclasses
 import time
 from collections.abc import Mapping, Sequence
 
+from core.gap.aligned import aligned
 from core.gap.beside import against
 from core.gap.checks import check_runs, check_tolerances, simulator_of
 from core.gap.conclude import conclude
@@ -45,13 +46,14 @@ def diagnose(
     check_tolerances(config.tolerances)
     check_runs(runs, held_out)
     progress(0.0, "aligning")
-    runs, held_out, known = _seen(runs, held_out, simulator, config.seed)
+    every, told = aligned([*runs, *held_out])
+    runs, held_out, known = _seen(every[: len(runs)], every[len(runs) :], simulator, config.seed)
     one = searched(runs, known, config.window, progress)
     progress(0.7, "scoring")
     kept = tuple(rolling(make_world(run, restarts_of(run, config.window, one.found.model))) for run in held_out)
     part = None if kept else on_a_part(runs, one.found, one.tried, known, config)
     out = conclude(one.found, one.worlds, kept, one.reach, known, config, part)
-    return dataclasses.replace(out, runtime_s=time.perf_counter() - began)
+    return dataclasses.replace(out, notes=(*told, *out.notes), runtime_s=time.perf_counter() - began)
 
 
 def _seen(
