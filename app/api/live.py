@@ -279,7 +279,8 @@ def _obey(robot: Robot, viewer: Viewer, message: dict[str, Any]) -> Refused | No
         assert v is not None and w is not None
         return robot.drive.drive(viewer, float(v), float(w), now)
     if kind == "stop":
-        robot.drive.stop()
+        if robot.drive.halt(viewer):
+            robot.tell_driver()
         return None
     if kind == "drive_release":
         if robot.drive.release(viewer):

@@ -18,6 +18,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from app.live.protocol import PROTOCOL
 from core.errors import DriftscopeError, ParameterError
 from core.run import Run
+from core.sensors import RangeLog
 
 LAST_TRY_S = 5.0  # longest wait between two tries to connect
 MOST_KEPT = 20_000  # batches kept while the server is away; then the oldest go
@@ -174,7 +175,7 @@ def wire(piece: Run) -> dict[str, dict[str, list[Any]]]:
     streams: dict[str, dict[str, list[Any]]] = {}
     for name, log in piece.logs().items():
         columns = {c: [v if v == v else None for v in values.tolist()] for c, values in log.columns().items()}
-        if name == "ranges":
-            columns["beacon"] = [log.names[code] for code in columns["beacon"]]  # type: ignore[attr-defined]
+        if isinstance(log, RangeLog):
+            columns["beacon"] = [log.names[code] for code in log.beacon.tolist()]
         streams[name] = columns
     return streams

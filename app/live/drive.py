@@ -79,8 +79,17 @@ class Drive:
             self._record(v, w)
         return None
 
+    def halt(self, viewer: Viewer) -> bool:
+        """Stop the robot; anybody may. Who drove must ask for the stick again, else it would set off at once; whether
+        it was taken from another."""
+        self.stop()
+        taken = self.driver is not None and self.driver is not viewer
+        if taken:
+            self.driver = None
+        return taken
+
     def stop(self) -> None:
-        """Stop the robot; anybody may."""
+        """Stop the robot."""
         self._seq += 1
         self._moving = False
         if self.obeys and self._send(Stop(type="stop", seq=self._seq)):

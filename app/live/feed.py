@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgpack
@@ -21,7 +21,7 @@ from core.sensors import STREAMS
 Array = npt.NDArray[np.float64]
 
 QUEUE = 8  # messages that may wait for a viewer
-PATH = ("t", "x", "y", "theta", "sd_x", "sd_y", "sd_theta", "cov_xy")
+WIDTH = 8  # columns of a `Path`
 EVENTS = 500
 UNSEEN, COARSE = 40, 0.5  # without viewers: batches that wait, s that become two points
 
@@ -118,10 +118,10 @@ class Feed:
     def take_estimate(self, made: Mapping[str, Any]) -> None:
         """A worker's answer."""
         for method, row in made["poses"].items():
-            self._poses[method] = Pose(**dict(zip(PATH, row, strict=True)))  # type: ignore[typeddict-item]
+            self._poses[method] = _pose(row)
         for method, columns in made["trails"].items():
-            self._paths.setdefault(method, Thinned(len(PATH))).add(columns)
-            new = self._new_trail.setdefault(method, [[] for _ in PATH])
+            self._paths.setdefault(method, Thinned(WIDTH)).add(columns)
+            new = self._new_trail.setdefault(method, [[] for _ in range(WIDTH)])
             for held, column in zip(new, columns, strict=True):
                 held.extend(column)
                 del held[:-200]
@@ -137,8 +137,10 @@ class Feed:
             if len(self._events) > EVENTS:
                 self._events.pop(next(iter(self._events)))
         if made["links"] is not None:
-            self._links = [Link(**dict(zip(("link", "streams", "excess", "level", "warn", "rows"), row, strict=True)))  # type: ignore[typeddict-item]
-                           for row in made["links"]]  # fmt: skip
+            self._links = [
+                Link(link=link, streams=streams, excess=excess, level=level, warn=warn, rows=rows)
+                for link, streams, excess, level, warn, rows in made["links"]
+            ]
         if made["reasons"] != self._reasons:
             self._reasons, self._methods_changed = dict(made["reasons"]), True
         self.changed = True
@@ -158,7 +160,7 @@ class Feed:
             "seq": self.seq,
             "t": self.t,
             "methods": self.methods(),
-            "paths": {m: Path(**dict(zip(PATH, path.columns, strict=True))) for m, path in self._paths.items()},  # type: ignore[typeddict-item]
+            "paths": {m: _path(path.columns) for m, path in self._paths.items()},
             "signals": signals,
             "units": {name: _unit(name) for name in signals},
             "bias": _bias(self._bias.columns),
@@ -178,7 +180,7 @@ class Feed:
             "state": state,
             "t": self.t,
             "poses": self._poses,
-            "trail": {m: Path(**dict(zip(PATH, c, strict=True))) for m, c in self._new_trail.items()},  # type: ignore[typeddict-item]
+            "trail": {m: _path(columns) for m, columns in self._new_trail.items()},
             "signals": {name: _signal(new) for name, s in self._signals.items() if (new := s.fresh())},
             "bias": _bias(self._new_bias),
             "events": self._new_events,
@@ -192,6 +194,16 @@ class Feed:
         self._new_trail, self._new_bias, self._new_events = {}, [[], [], []], []
         self._methods_changed = self.changed = False
         return message
+
+
+def _pose(row: Sequence[Any]) -> Pose:
+    t, x, y, theta, sd_x, sd_y, sd_theta, cov_xy = row
+    return Pose(t=t, x=x, y=y, theta=theta, sd_x=sd_x, sd_y=sd_y, sd_theta=sd_theta, cov_xy=cov_xy)
+
+
+def _path(columns: Sequence[list[Any]]) -> Path:
+    t, x, y, theta, sd_x, sd_y, sd_theta, cov_xy = columns
+    return Path(t=t, x=x, y=y, theta=theta, sd_x=sd_x, sd_y=sd_y, sd_theta=sd_theta, cov_xy=cov_xy)
 
 
 def _bias(columns: list[list[Any]]) -> Bias:

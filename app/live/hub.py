@@ -40,6 +40,7 @@ QUIET_S = 5.0  # without a word for so long a robot is silent
 SILENCE_S = 120.0  # a robot that is silent for so long has ended its run
 GROW_S = 2.0  # between two looks of the store at a run that grows
 SWEEP_S = 1.0
+HEARTBEAT_S = 1.0  # viewers hear so often how the connection is, whatever robot and workers do
 LOOK_S = 0.5  # between two looks whether a run is stored
 MOST_ROBOTS = 200
 
@@ -349,11 +350,12 @@ class Hub:
                 if robot.run is None:
                     continue
                 robot.run.feed.watched = bool(robot.viewers)
-                if robot.run.feed.changed:
+                if robot.run.feed.changed or now - robot.told > HEARTBEAT_S:
                     self._update(robot, robot.run, now)
 
     @staticmethod
     def _update(robot: Robot, run: LiveRun, now: float) -> None:
+        robot.told = now
         message = run.feed.update(robot.state, run.gauge.read(now)) if robot.viewers else None
         if message is None:
             return

@@ -348,7 +348,7 @@ class Drive(TypedDict):
 
 
 class ViewerStop(TypedDict):
-    """Stop the robot, whoever drives: any viewer may."""
+    """Stop the robot, whoever drives: any viewer may. Another who drove has the stick no more and must ask for it."""
 
     type: Literal["stop"]
 

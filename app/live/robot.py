@@ -34,6 +34,7 @@ class Robot:
         self.viewers: dict[Viewer, None] = {}
         self.drive = Drive(drive_allowed, self._send, self._record)
         self.state = "waiting"
+        self.told = 0.0  # when its viewers were last told something
 
     def _send(self, message: Mapping[str, Any]) -> bool:
         if self.connection is None:

@@ -25,6 +25,7 @@ import numpy as np
 if TYPE_CHECKING:
     from core.live import LiveEstimator, Step
     from core.run import Run
+    from core.trajectory import Trajectory
 
 LENGTH = struct.Struct("<I")
 THIN = 0.05  # s between two poses of a trail
@@ -86,19 +87,18 @@ def as_run(parts: list[Message]) -> Run:
     from core.sensors import STREAMS
 
     logs: dict[str, Any] = {}
-    for name, spec in STREAMS.items():
+    for name in dict.fromkeys(name for part in parts for name in part["streams"]):
         having = [part["streams"][name] for part in parts if name in part["streams"]]
-        if not having:
-            continue
         columns: dict[str, Any] = {}
         for column in dict.fromkeys(c for part in having for c in part):
             dtype = "<i2" if column == "beacon" else "<f8"
-            columns[column] = np.concatenate(
-                [np.frombuffer(p[column], dtype) if column in p else np.full(len(p["t"]) // 8, np.nan) for p in having]
-            )
+            values = [
+                np.frombuffer(p[column], dtype) if column in p else np.full(len(p["t"]) // 8, np.nan) for p in having
+            ]
+            columns[column] = np.concatenate(values)  # copied: of read-only arrays kernels would be compiled anew
         if name == "ranges":
             columns["names"] = tuple(parts[-1]["names"])
-        logs[name] = spec.log(**columns)
+        logs[name] = STREAMS[name].log(**columns)
     return Run(**logs)
 
 
@@ -106,13 +106,12 @@ def answer(step: Step, told: dict[str, float]) -> Message:
     """A step as plain data: the newest pose of each method, trails of at most one pose per THIN s, and the rest."""
     poses, trails = {}, {}
     for method, path in step.paths.items():
-        P = path.covariance
-        rows = np.column_stack((path.t, path.x, path.y, path.theta, *_spread(P, len(path))))
-        poses[method] = plain(rows[-1])
         keep = thinned(path.t, told.get(method, -np.inf))
+        rows = _rows(path, np.append(keep, len(path) - 1))
+        poses[method] = plain(rows[:, -1])
         if len(keep):
             told[method] = float(path.t[keep[-1]])
-            trails[method] = [plain(column) for column in rows[keep].T]
+            trails[method] = [plain(column) for column in rows[:, :-1]]
     bias = step.bias
     return {
         "poses": poses,
@@ -126,22 +125,28 @@ def answer(step: Step, told: dict[str, float]) -> Message:
     }
 
 
-def _spread(P: Any, n: int) -> tuple[Any, ...]:
-    if P is None:
-        return tuple(np.full(n, np.nan) for _ in range(4))
-    return (*(np.sqrt(np.maximum(P[:, i, i], 0.0)) for i in range(3)), P[:, 0, 1])
+def _rows(path: Trajectory, at: Any) -> Any:
+    """(8, N) columns of the poses `at`: t, x, y, theta, their standard deviations, covariance of x and y."""
+    rows, P = np.full((8, len(at)), np.nan), path.covariance
+    rows[0], rows[1], rows[2], rows[3] = path.t[at], path.x[at], path.y[at], path.theta[at]
+    if P is not None:
+        P = P[at]
+        rows[4:7] = np.sqrt(np.maximum(P.diagonal(axis1=1, axis2=2), 0.0)).T
+        rows[7] = P[:, 0, 1]
+    return rows
 
 
 def thinned(t: Any, last: float) -> Any:
     """Rows that are THIN s after the one before, the first after `last`."""
     slot = np.floor(t / THIN)
-    before = np.concatenate(([np.floor(last / THIN) if np.isfinite(last) else -np.inf], slot[:-1]))
-    return np.flatnonzero(slot > before)
+    new = np.empty(len(slot), bool)
+    new[0], new[1:] = slot[0] > np.floor(last / THIN), slot[1:] > slot[:-1]
+    return np.flatnonzero(new)
 
 
 def plain(values: Any) -> list[float | None]:
     """Numbers for the wire; None where there is none."""
-    return [v if v == v else None for v in np.asarray(values, np.float64).tolist()]
+    return [v if v == v else None for v in values.tolist()]
 
 
 def _listen(stream: IO[bytes], inbox: queue.Queue[Message | None]) -> None:

@@ -3,29 +3,38 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from core.errors import NotEnoughDataError
 from core.estimation.assumptions import Assumptions
 from core.estimation.beacon import MAX_ROUND, ROUND, beacon
 from core.estimation.needs import for_beacon
-from core.run import Run
+from core.live._poses_numba import fix
+from core.run import Run, RunMeta
 from core.trajectory import Trajectory
+
+Array = npt.NDArray[np.float64]
 
 
 class Beacon:
     """Poses by the beacon system alone, from the last seconds of a run."""
 
-    def __init__(self, numbers: Assumptions) -> None:
-        self._config = {f: getattr(numbers, f) for f in ("fix_xy", "fix_theta", "range")}
-        self._last, self._theta = -np.inf, 0.0
+    def __init__(self, meta: RunMeta, numbers: Assumptions) -> None:
+        self._meta, self._numbers = meta, numbers
+        self._heading = np.zeros(1)
+        self._last = -np.inf
 
-    def step(self, recent: Run, piece: Run) -> Trajectory | None:
-        """New poses, None where there are none; `recent` goes back MAX_ROUND s at least, `piece` is what is new."""
-        fixes = piece.beacon
-        if fixes is not None and len(fixes):
-            return self._solved(Run(recent.meta, beacon=fixes))
+    def by_fixes(self, fixes: Array) -> Trajectory:
+        """Poses by new fixes (N, 6): t, x, y, theta or NaN first."""
+        n, tag, numbers = len(fixes), self._meta.robot.tag, self._numbers
+        pose, covariance = np.empty((n, 3)), np.empty((n, 3, 3))
+        fix(fixes, float(tag.x), float(tag.y), numbers.fix_xy, numbers.fix_theta, self._heading, pose, covariance)
+        return Trajectory(fixes[:, 0], pose[:, 0], pose[:, 1], pose[:, 2], covariance)
+
+    def by_ranges(self, recent: Run) -> Trajectory | None:
+        """Poses by rounds of ranges that are complete by now; `recent` goes back MAX_ROUND s at least."""
         ranges = recent.ranges
-        if recent.beacon is not None or ranges is None or not len(ranges):
+        if ranges is None or not len(ranges):
             return None
         over = np.floor(float(ranges.t[-1]) / ROUND) * ROUND  # rounds that end before it are complete
         before = float(ranges.t[np.searchsorted(ranges.t, over) - 1]) if ranges.t[0] < over else -np.inf
@@ -38,24 +47,12 @@ class Beacon:
 
     def _solved(self, run: Run) -> Trajectory | None:
         try:
-            found = beacon(run, self._config).trajectory
+            found = beacon(run, {"range": self._numbers.range}).trajectory
         except NotEnoughDataError:
             return None
         new = found.t > self._last
         if not new.any():
             return None
-        theta = self._unwrapped(found.theta[new])
         covariance = found.covariance[new] if found.covariance is not None else None
         self._last = float(found.t[-1])
-        return Trajectory(found.t[new], found.x[new], found.y[new], theta, covariance)
-
-    def _unwrapped(self, theta: np.ndarray) -> np.ndarray:
-        """Headings that go on from the one before."""
-        known = np.isfinite(theta)
-        if not known.any():
-            return theta
-        turns = np.unwrap(np.concatenate(([self._theta], theta[known])))
-        self._theta = float(turns[-1])
-        theta = theta.copy()
-        theta[known] = turns[1:]
-        return theta
+        return Trajectory(found.t[new], found.x[new], found.y[new], found.theta[new], covariance)

@@ -25,7 +25,9 @@ class Disturbed:
         until = complete_until(recent)
         if not until > self._fed or (self._detector is None and until - recent.span[0] < SILENT):
             return Disturbances()
-        piece = recent.crop(float(np.nextafter(self._fed, np.inf)), until)
+        after = float(np.nextafter(self._fed, np.inf))
+        used = Run(self._meta, commands=recent.commands, wheels=recent.wheels, imu=recent.imu)
+        piece = used.crop(after, until)
         if self._detector is None:
             self._detector = Detector(self._meta, self._numbers, piece)
         self._fed = until

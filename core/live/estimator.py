@@ -1,7 +1,7 @@
 """All causal methods of a run that is still being driven. The story, one screen.
 
-A piece of new rows comes: it is put behind the last seconds (`Recent`); every method steps. What is slow and may lag
-behind (events, bias, links) is stepped every SLOW seconds of the robot's time.
+A piece of new rows comes: it is made ready (`Intake`), and every method steps by what is new. What is slow and may lag
+behind (events, bias, links) looks at the last seconds (`Recent`), every SLOW seconds of the robot's time.
 """
 
 from __future__ import annotations
@@ -19,9 +19,12 @@ from core.estimation.rest import at_rest
 from core.estimation.result import Curve, Event
 from core.live.beacon import Beacon
 from core.live.disturbed import Disturbed
+from core.live.early import Early, Rolled, joined_paths
 from core.live.fused import Fused
+from core.live.intake import Intake, Taken
 from core.live.links import Links, LinkState
-from core.live.odometry import Encoders, EncodersGyro, WheelSum
+from core.live.odometry import Encoders, EncodersGyro
+from core.live.pieces import pieces
 from core.live.recent import Recent
 from core.live.rhythm import Rhythm, rhythm
 from core.live.steady import SteadyBias
@@ -31,6 +34,7 @@ from core.trajectory import Trajectory
 Array = npt.NDArray[np.float64]
 
 KEEP = 4.0  # s that methods look back
+LONGEST = 2.0  # s of a piece that is taken at once
 SLOW = 0.5  # s between two steps of what may lag behind
 PATIENCE = 1.0  # s after which a silent wheel stream is not waited for
 METHODS = ("encoders", "beacon", "encoders+gyro", "fused")
@@ -55,46 +59,60 @@ class LiveEstimator:
         self._meta = meta
         self.numbers = assume(Run(meta), config)[0]
         self._recent = Recent(meta, KEEP)
-        self._wheels = WheelSum(meta)
-        self._rolled = WheelPath(*(np.zeros(0),) * 3)
-        self._by_wheels: list[Trajectory] = []  # until the gyro's path has begun
+        self._intake = Intake(meta, self.numbers)
+        self._rolled = Rolled(KEEP)
+        self._early = Early()
         self.encoders = Encoders(meta, self.numbers)
-        self.beacon = Beacon(self.numbers)
+        self.beacon = Beacon(meta, self.numbers)
         self.fused = Fused(meta, self.numbers)
         self.gyro: EncodersGyro | None = None
         self.rhythm: Rhythm | None = None
         self.disturbed, self.bias, self.links = Disturbed(meta, self.numbers), SteadyBias(), Links(meta, self.numbers)
         self._beginning: Recent | None = Recent(meta, 60.0)
-        self._slow = -np.inf
-        self._seen: set[str] = set()
+        self._newest = self._slow = -np.inf
+        self._runs = False  # whether the filter has what it needs
+        self._reasons: dict[str, str | None] = {}
 
     def feed(self, piece: Run) -> Step:
         """Go on by a piece, of any length."""
-        if not any(len(log) for log in piece.logs().values()):
+        ends = [float(log.t[-1]) for log in piece.logs().values() if len(log)]
+        if not ends:
             return Step(reasons=self.reasons())
-        self._seen.update(piece.logs())
+        begin, end = piece.span
+        if end - begin > LONGEST:
+            return _together([self._step(part) for part in pieces(piece, LONGEST) if part.logs()])
+        return self._step(piece)
+
+    def _step(self, piece: Run) -> Step:
+        self._newest = max(self._newest, piece.span[1])
         self._recent.append(piece)
         self._learn_rhythm(piece)
-        paths: dict[str, Trajectory | None] = {"beacon": self.beacon.step(self._recent.run, piece)}
+        taken = self._intake.take(piece)
+        paths: dict[str, Trajectory | None] = {}
+        if len(taken.fixes):
+            paths["beacon"] = self.beacon.by_fixes(taken.fixes)
         if piece.wheels is not None and self._meta.robot.wheel_radius:
-            paths["encoders"] = self._roll(piece)
-        if needs.for_fused(self._recent.run) is None:
-            paths["fused"] = self.fused.step(self._recent.run, piece, self.rhythm)
-        newest = self._recent.run.span[1]
-        if newest - self._slow < SLOW:
-            return Step(_present(paths), reasons=self.reasons())
-        self._slow = newest
-        return self._settle(paths, piece)
+            paths["encoders"] = self._roll(taken.rolled)
+        self._feel(taken)
+        if not self._runs and piece.wheels is not None:
+            self._runs = needs.for_fused(self._recent.run) is None
+        paths["fused"] = self.fused.step(self._recent, piece, taken.events, self.rhythm if self._runs else None)
+        if self._newest - self._slow < SLOW:
+            return Step(_present(paths), reasons=self._reasons)
+        self._slow = self._newest
+        return self._settle(paths)
 
-    def _settle(self, paths: dict[str, Trajectory | None], piece: Run) -> Step:
+    def _settle(self, paths: dict[str, Trajectory | None]) -> Step:
         """What may lag behind."""
-        recent = self._recent.run
+        recent, rolled = self._recent.run, self._rolled.path
+        if recent.beacon is None and recent.ranges is not None:
+            paths["beacon"] = self.beacon.by_ranges(recent)
         paths["encoders+gyro"] = self._turn()
         found = self.disturbed.step(recent)
         self.fused.tell(found)
         bias = self.bias.step(recent)
         self.links.know(bias, paths.get("fused"))
-        links = self.links.step(recent, self._rolled)
+        links = self.links.step(recent, rolled)
         return Step(_present(paths), bias, found.events, links, self.reasons())
 
     def reasons(self) -> dict[str, str | None]:
@@ -108,6 +126,7 @@ class LiveEstimator:
         }
         if missing["encoders+gyro"] is None and self.gyro is None:
             missing["encoders+gyro"] = "waiting for a second of wheels and IMU"
+        self._reasons = missing
         return missing
 
     def _learn_rhythm(self, piece: Run) -> None:
@@ -116,44 +135,57 @@ class LiveEstimator:
         if self._beginning is None:
             return
         self._beginning.append(piece)
+        if piece.wheels is None and piece.imu is None:
+            return
         found = rhythm(self._beginning.run, self.numbers)
         if found is None:
             return
         if self.rhythm is not None and found.imu:
             self.fused = self.fused.again()
-        self.rhythm, self._beginning = found, None
+        self.rhythm = found
+        self._intake.know(found)
+        if found.imu:
+            self._early.rested(at_rest(self._beginning.run, self.numbers, found.gyro_sd), self._beginning.run)
+        self._beginning = None
 
-    def _roll(self, piece: Run) -> Trajectory | None:
-        assert piece.wheels is not None
-        new = self._wheels.path(piece.wheels)
-        old, kept = self._rolled, self._rolled.t >= piece.wheels.t[0] - KEEP
-        columns = ((old.t, new.t), (old.d, new.d), (old.turn, new.turn))
-        self._rolled = WheelPath(*(np.concatenate((a[kept], b)) for a, b in columns))
+    def _roll(self, new: WheelPath) -> Trajectory | None:
+        self._rolled.append(new)
         if not self._meta.robot.track_width:
             return None
         path = self.encoders.step(new)
         if self.gyro is None:
-            self._by_wheels.append(path)
+            self._early.by_wheels(path)
         return path
+
+    def _feel(self, taken: Taken) -> None:
+        if not len(taken.imu_t):
+            return
+        if self.gyro is None:
+            self._early.by_imu(taken.imu_t, taken.inertial)
+        else:
+            self.gyro.take(taken.imu_t, taken.inertial)
 
     def _turn(self) -> Trajectory | None:
         """`encoders+gyro` up to the newest wheel reading, or past it where the wheels are silent."""
-        imu, seen = self._recent.run.imu, self.rhythm
-        if imu is None or seen is None or not seen.imu or not len(self._rolled.t):
+        imu, seen, rolled = self._recent.run.imu, self.rhythm, self._rolled.path
+        if imu is None or seen is None or not seen.imu or not len(rolled.t):
             return None
         if self.gyro is None:
             self.gyro = EncodersGyro(self._meta, self.numbers, seen)
-            self.gyro.begin(float(imu.t[0]), _whole(self._by_wheels))
-            self._by_wheels = []
-        resting = at_rest(self._recent.run, self.numbers, seen.gyro_sd).flags
-        until = max(float(self._rolled.t[-1]), float(imu.t[-1]) - PATIENCE)
-        return self.gyro.step(imu, resting, self._rolled, until)
+            self._early.hand_over(self.gyro)
+        return self.gyro.step(rolled, max(float(rolled.t[-1]), float(imu.t[-1]) - PATIENCE))
 
 
 def _present(paths: Mapping[str, Trajectory | None]) -> dict[str, Trajectory]:
     return {name: path for name, path in paths.items() if path is not None and len(path)}
 
 
-def _whole(parts: list[Trajectory]) -> Trajectory:
-    t, x, y, theta = (np.concatenate([getattr(p, k) for p in parts]) for k in ("t", "x", "y", "theta"))
-    return Trajectory(t, x, y, theta)
+def _together(steps: list[Step]) -> Step:
+    """Steps that follow each other as one."""
+    methods = dict.fromkeys(m for step in steps for m in step.paths)
+    paths = {m: joined_paths([step.paths[m] for step in steps if m in step.paths]) for m in methods}
+    curves = [step.bias for step in steps if step.bias is not None]
+    bias = Curve(*(np.concatenate([getattr(c, k) for c in curves]) for k in ("t", "value", "sd"))) if curves else None
+    links = [step.links for step in steps if step.links is not None]
+    events = tuple(event for step in steps for event in step.events)
+    return Step(paths, bias, events, links[-1] if links else None, steps[-1].reasons)

@@ -7,8 +7,6 @@ is no pose, and `reason` says what is waited for. On the same numbers and start 
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import numpy.typing as npt
 
@@ -17,7 +15,7 @@ from core.estimation.cleaning import wheel_readings
 from core.estimation.events import Disturbances
 from core.estimation.fusion.events import Events, merge
 from core.estimation.fusion.fused import reckoned_alone
-from core.estimation.fusion.layout import FIX, OUT, RANGE, WHEEL
+from core.estimation.fusion.layout import FIX, RANGE, WHEEL
 from core.estimation.fusion.replay import Replay
 from core.estimation.fusion.start import Start, find_start
 from core.estimation.fusion.walk import problem
@@ -28,14 +26,12 @@ from core.run import Run, RunMeta
 from core.trajectory import Trajectory
 
 Array = npt.NDArray[np.float64]
-Rows = tuple[Array, Array, Array]
 
 HORIZON = 2.0  # s: how late a reading may be, and how far back a disturbance can be told
 HEADING = 0.1  # rad: sd of the heading with which the filter sets out
 LISTEN = 2.0  # s without fix or range, after which the path is relative
 TRIES = 0.5  # s between two tries to find the start
 LONGEST_WAIT = 60.0  # s of readings from which a start is sought
-KINDS = (WHEEL, FIX, RANGE, OUT)
 
 
 class Fused:
@@ -47,23 +43,22 @@ class Fused:
         self.replay: Replay | None = None
         self.start: Start | None = None
         self._waiting = Recent(meta, LONGEST_WAIT)
-        self._seen = dict.fromkeys(KINDS, -np.inf)  # newest stamp of each kind
         self._first: Array | None = None  # wheel angles that distance counts from
         self._tried = self._told = -np.inf
         self._kinds: frozenset[int] = frozenset()
         self._relative = False
         self.bias: tuple[Array, Array, Array] = (np.zeros(0),) * 3  # t, bias, variance of the last step's rows
 
-    def step(self, recent: Run, piece: Run, rhythm: Rhythm | None) -> Trajectory | None:
-        """New poses, up to the newest reading; None where there are none."""
+    def step(self, recent: Recent, piece: Run, events: Events, rhythm: Rhythm | None) -> Trajectory | None:
+        """New poses, up to the newest reading; None where there are none. `events` are those of the piece."""
         if self.replay is None:
             self._waiting.append(piece)
-            if rhythm is None or not self._set_out(self._waiting.run, rhythm):
+            if rhythm is None or piece.span[1] - self._tried < TRIES or not self._set_out(self._waiting.run, rhythm):
                 return None
             self._waiting = Recent(self.meta, LONGEST_WAIT)
         else:
             assert rhythm is not None
-            self._go_on(recent, rhythm)
+            self._go_on(recent, events, rhythm)
         return self._new_rows()
 
     def again(self) -> Fused:
@@ -98,8 +93,6 @@ class Fused:
     def _set_out(self, run: Run, rhythm: Rhythm) -> bool:
         """Find the start and walk over what has come; False while it is not known."""
         newest = run.span[1]
-        if newest - self._tried < TRIES:
-            return False
         self._tried = newest
         events, rest = self._events(run, rhythm)
         absolute = bool(events.of(FIX, RANGE).any())
@@ -125,13 +118,9 @@ class Fused:
         self.start, self.reason = start, None
         self.replay = Replay(problem(run, events, start, self.numbers, rest), HORIZON)
         self._kinds = frozenset(events.kind.tolist())
-        self._note(events)
         self._take(start.without_used(events))
 
-    def _go_on(self, recent: Run, rhythm: Rhythm) -> None:
-        events, rest = self._events(recent, rhythm)
-        newest = np.array([self._seen[kind] for kind in KINDS])
-        events = events.kept(events.t > newest[events.kind])
+    def _go_on(self, recent: Recent, events: Events, rhythm: Rhythm) -> None:
         fresh = frozenset(events.kind.tolist()) & {FIX, RANGE} - self._kinds
         if not fresh:
             self._take(events)
@@ -142,20 +131,13 @@ class Fused:
             assert self.replay is not None
             state = self.replay.state
             x = Start(state.x[:3].copy(), state.P[:3, :3].copy())
-            out = dataclasses.replace(events, out=events.t[events.kind == OUT])
-            self._begin(recent, out, x, rest)
+            rest = at_rest(recent.run, self.numbers, rhythm.gyro_sd) if rhythm.imu else None
+            self._begin(recent.run, events, x, rest)
 
     def _take(self, events: Events) -> None:
         assert self.replay is not None
-        self._note(events)
-        self.replay.take(events.t, events.kind, events.data, events.flags)
-
-    def _note(self, events: Events) -> None:
-        """Newest stamps of what has been used, the start's fixes too."""
-        for kind in KINDS:
-            stamps = events.t[events.kind == kind]
-            if len(stamps):
-                self._seen[kind] = float(stamps[-1])
+        if len(events.t):
+            self.replay.take(events.t, events.kind, events.data, events.flags)
 
     def _new_rows(self) -> Trajectory | None:
         if self.replay is None:

@@ -2,64 +2,78 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from core.run import Run, RunMeta
-from core.sensors import STREAMS, Log
+from core.sensors import STREAMS, RangeLog
+from core.sensors.base import Log
 
 Array = npt.NDArray[np.float64]
 
 FEWEST = 16  # rows of each stream that stay, however old
+MOST = 64  # pieces that wait to be put together
 
 
 class Recent:
-    """Rows of the last `keep` seconds, by the newest stamp of all streams. `run` is them as a Run."""
+    """Rows of the last `keep` seconds, by the newest stamp of all streams. `run` is them as a Run, put together when it
+    is asked for."""
 
     def __init__(self, meta: RunMeta, keep: float) -> None:
-        self.run = Run(meta)
+        self._run = Run(meta)
+        self._new: list[Run] = []
         self.keep = keep
 
     def append(self, piece: Run) -> None:
-        """Rows newer than those of their streams; what is older than `keep` before the piece begins goes."""
-        logs: dict[str, Any] = {}
-        limit = piece.span[0] - self.keep
-        for name in STREAMS:
-            old, new = getattr(self.run, name), getattr(piece, name)
-            if old is not None and len(old) > FEWEST and float(old.t[0]) < limit:
-                old = tail(old, min(int(np.searchsorted(old.t, limit)), len(old) - FEWEST))
-            logs[name] = joined(old, new)
-        self.run = Run(self.run.meta, **logs)
+        """Rows newer than those of their streams; what is older than `keep` before the newest piece begins goes."""
+        self._new.append(piece)
+        if len(self._new) > MOST:
+            _ = self.run
 
-    def drop_before(self, t: float) -> None:
-        """Forget all readings before a stamp."""
-        self.run = self.run.crop(t, np.inf)
+    @property
+    def run(self) -> Run:
+        """The last seconds."""
+        if self._new:
+            new, self._new = self._new, []
+            limit = new[-1].span[0] - self.keep
+            logs = {name: _last(name, [self._run, *new], limit) for name in STREAMS}
+            held: dict[str, Any] = {name: log for name, log in logs.items() if log is not None}
+            self._run = Run(self._run.meta, **held)
+        return self._run
 
 
-def tail(log: Any, first: int) -> Any:
+def _last(name: str, runs: list[Run], limit: float) -> Log | None:
+    """A stream of runs that follow each other, without what is older than the limit, but FEWEST rows at least."""
+    logs = [log for run in runs if (log := getattr(run, name)) is not None and len(log)]
+    if not logs:
+        return runs[0].logs().get(name)
+    whole = joined(*logs)
+    first = min(int(np.searchsorted(whole.t, limit)), len(whole) - FEWEST)
+    return tail(whole, first) if first > 0 else whole
+
+
+def tail(log: Log, first: int) -> Log:
     """The log's rows from `first` on."""
-    return dataclasses.replace(log, **{name: column[first:] for name, column in log.columns().items()})
+    columns: dict[str, Any] = {name: column[first:] for name, column in log.columns().items()}
+    if isinstance(log, RangeLog):
+        columns["names"] = log.names
+    return type(log)(**columns)
 
 
-def joined(old: Log | None, new: Log | None) -> Log | None:
-    """Rows of two logs of one stream; a column that only one of them has is NaN in the other's rows."""
-    if old is None or new is None or not len(new):
-        return new if old is None else old
-    a, b = old.columns(), new.columns()
+def joined(*logs: Log) -> Log:
+    """Rows of logs of one stream, in order; a column that only some of them have is NaN in the others' rows."""
+    if len(logs) == 1:
+        return logs[0]
     columns: dict[str, Any] = {}
-    for name in {**a, **b}:
-        first = a.get(name, np.full(len(old), np.nan))
-        columns[name] = np.concatenate((first, b.get(name, np.full(len(new), np.nan))))
-    if hasattr(old, "names"):
-        columns["names"], columns["beacon"] = _names(old, new)
-    return type(old)(**columns)
-
-
-def _names(old: Any, new: Any) -> tuple[tuple[str, ...], npt.NDArray[np.int16]]:
-    """Beacons of both logs by one list of names."""
-    names = (*old.names, *(n for n in new.names if n not in old.names))
-    code = np.array([names.index(n) for n in new.names], np.int16)
-    return names, np.concatenate((old.beacon, code[new.beacon] if len(new) else new.beacon))
+    parts = [log.columns() for log in logs]
+    for name in dict.fromkeys(name for part in parts for name in part):
+        having = [part[name] if name in part else np.full(len(part["t"]), np.nan) for part in parts]
+        columns[name] = np.concatenate(having)
+    ranges = [log for log in logs if isinstance(log, RangeLog)]
+    if ranges:
+        names = tuple(dict.fromkeys(name for log in ranges for name in log.names))
+        codes = [np.array([names.index(name) for name in log.names], np.int16)[log.beacon] for log in ranges]
+        columns["names"], columns["beacon"] = names, np.concatenate(codes)
+    return type(logs[0])(**columns)

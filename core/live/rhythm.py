@@ -18,12 +18,14 @@ FEWEST = 5  # readings of a gyro that is one
 @dataclass(frozen=True)
 class Rhythm:
     """gyro_sd [rad/s] of one reading at rest; hold [s] that one is taken to last; patience, readings at rest that may
-    be refused in a row; imu, whether there is one."""
+    be refused in a row; imu, whether there is one; imu_rate [Hz]; wheel_step [s]."""
 
     gyro_sd: float
     hold: float
     patience: int
     imu: bool
+    imu_rate: float
+    wheel_step: float
 
 
 def rhythm(run: Run, numbers: Assumptions) -> Rhythm | None:
@@ -32,15 +34,16 @@ def rhythm(run: Run, numbers: Assumptions) -> Rhythm | None:
     wheels, imu = run.wheels, run.imu
     if wheels is None or not len(wheels) or wheels.t[-1] - wheels.t[0] < FIRST:
         return None
+    blind = Rhythm(1.0, 0.0, 0, False, 0.0, float(np.median(np.diff(wheels.t))))
     if imu is None or imu.t[0] > wheels.t[0] + FIRST:
-        return Rhythm(1.0, 0.0, 0, False)
+        return blind
     end = max(float(wheels.t[0]), float(imu.t[0])) + FIRST
     if imu.t[-1] < end or wheels.t[-1] < end:
         return None
     first = run.crop(-np.inf, end)
     assert first.imu is not None
     if len(first.imu) < FEWEST:
-        return Rhythm(1.0, 0.0, 0, False)
-    step = np.diff(first.imu.t, prepend=first.imu.t[0])
+        return blind
+    step, hz = np.diff(first.imu.t, prepend=first.imu.t[0]), first.imu.rate
     sd = at_rest(first, numbers).gyro_sd
-    return Rhythm(sd, longest_hold(step), int(numbers.reaccept * first.imu.rate / 2), True)
+    return Rhythm(sd, longest_hold(step), int(numbers.reaccept * hz / 2), True, hz, blind.wheel_step)

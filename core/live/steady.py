@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -122,7 +123,8 @@ def _finite(imu: ImuLog | None) -> ImuLog | None:
     good = np.isfinite(imu.gz)
     if good.all():
         return imu
-    return ImuLog(**{name: column[good] for name, column in imu.columns().items()}) if good.any() else None  # type: ignore[arg-type]
+    columns: dict[str, Any] = {name: column[good] for name, column in imu.columns().items()}
+    return ImuLog(**columns) if good.any() else None
 
 
 def _from(imu: ImuLog, t: float) -> ImuLog:
@@ -130,8 +132,8 @@ def _from(imu: ImuLog, t: float) -> ImuLog:
     rest = imu.crop(float(np.nextafter(t + 1e-9, np.inf)), np.inf)
     if not len(rest):
         return rest
-    head = {name: column[:1].copy() for name, column in rest.columns().items()}
+    head: dict[str, Any] = {name: column[:1].copy() for name, column in rest.columns().items()}
     head["t"] = np.array([t])
-    made = joined(ImuLog(**head), rest)  # type: ignore[arg-type]
+    made = joined(ImuLog(**head), rest)
     assert isinstance(made, ImuLog)
     return made

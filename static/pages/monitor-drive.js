@@ -1,7 +1,8 @@
 // The control part: a stick, keys, limits, STOP; who drives; why driving is off where it is off.
 //
 // What a hand wants is said 20 times a second as long as it wants something, and thrice when it lets go: the server and
-// the robot stop by themselves when nothing is said for a moment (dead-man).
+// the robot stop by themselves when nothing is said for a moment (dead-man). A robot that was stopped like that does not
+// set off again by itself, whatever is still held: the hand must let go and press anew.
 
 import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
@@ -24,6 +25,7 @@ export function mountDrive(host, { send, remember }) {
   let timer = 0;
   let last = 0;
   let asked = 0; // when the seat was last asked for
+  let broken = false; // the robot was stopped under a hand that held something
 
   const parts = build();
   host.append(...parts.all);
@@ -34,11 +36,11 @@ export function mountDrive(host, { send, remember }) {
     },
     setOff(reason) {
       off = reason;
-      if (reason) release();
+      if (reason) letGo();
       paint();
     },
     setDriver(told) {
-      if (driver.you && !told.you) release();
+      if (driver.you && !told.you) told.who ? release() : letGo();
       driver = { ...told };
       paint();
     },
@@ -84,8 +86,8 @@ export function mountDrive(host, { send, remember }) {
     const can = off === null;
     host.dataset.driver = driver.you ? "you" : driver.who ? "other" : "nobody";
     host.dataset.off = String(!can);
-    parts.reason.hidden = can;
-    parts.reason.textContent = off ?? "";
+    parts.reason.hidden = can && !broken;
+    parts.reason.textContent = off ?? (broken ? "The robot was stopped while you drove. Let go and press again to drive on." : "");
     parts.who.textContent = driver.you ? "You drive" : driver.who ? `${driver.who} drives` : can ? "Nobody drives" : "Control";
     parts.seat.hidden = !can;
     parts.seat.textContent = driver.you ? "Let go" : driver.who ? "Take over" : "Drive";
@@ -119,6 +121,10 @@ export function mountDrive(host, { send, remember }) {
 
   function go() {
     if (off !== null) return;
+    if (broken) {
+      broken = false;
+      paint();
+    }
     if (!driver.you) takeSeat();
     if (timer) return;
     last = performance.now();
@@ -161,8 +167,15 @@ export function mountDrive(host, { send, remember }) {
     paintStick();
   }
 
+  function letGo() {
+    broken ||= busy();
+    release();
+  }
+
   function stop() {
     release();
+    broken = false;
+    paint();
     send({ type: "stop" });
     rest();
     parts.halt.classList.add("pressed");
@@ -170,6 +183,7 @@ export function mountDrive(host, { send, remember }) {
   }
 
   function askOrLeave() {
+    broken = false;
     if (driver.you) {
       release();
       send({ type: "drive_release" });
@@ -210,8 +224,8 @@ export function mountDrive(host, { send, remember }) {
   const press = (event) => {
     if (event.target.matches?.("input[type=range], summary, .map-top")) return false; // arrows are theirs
     const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
-    if (!event.repeat) held.add(key);
-    go();
+    if (!event.repeat && off === null) held.add(key);
+    if (held.has(key)) go();
     return true;
   };
   const both = (first, second, label) => ({ [first]: [label, press, `${first} ${second}`], [second]: [null, press], [second.toUpperCase()]: [null, press] });

@@ -14,7 +14,7 @@ from playwright.sync_api import Page, WebSocketRoute, expect
 
 pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("browser")]  # one server and one browser for all of them
 
-PATIENCE_S = 60.0
+PATIENCE_S = 180.0  # a slow machine with cold kernels; nothing waits that long when it works
 
 
 def until(page: Page, condition: Callable[[], Any]) -> Any:
@@ -39,6 +39,27 @@ def way(a: tuple[float, ...], b: tuple[float, ...]) -> float:
     return distance if math.isfinite(distance) else 0.0
 
 
+def hold(page: Page, keys: list[str], condition: Callable[[], Any]) -> None:
+    """Hold keys until the condition is true, as a person does: pressed anew when the page has let go of the robot."""
+
+    def press() -> None:
+        for key in keys:
+            page.keyboard.up(key)
+            page.keyboard.down(key)
+
+    press()
+    pressed = time.monotonic()
+
+    def come() -> Any:
+        nonlocal pressed
+        if page.locator("#driver").inner_text() != "You drive" and time.monotonic() - pressed > 2.0:
+            press()
+            pressed = time.monotonic()
+        return condition()
+
+    until(page, come)
+
+
 def test_a_newcomer_drives_the_virtual_robot_and_finds_the_run_stored(
     new_page: Callable[..., Page], server: Server
 ) -> None:
@@ -52,17 +73,14 @@ def test_a_newcomer_drives_the_virtual_robot_and_finds_the_run_stored(
     assert run_id is not None
     page.locator("#scene[data-scene=ready]").wait_for()
 
-    page.keyboard.down("ArrowUp")
-    expect(page.locator("#driver")).to_have_text("You drive")
-    expect(page.locator("#commanded")).to_contain_text("0.40 m/s")
-    until(page, lambda: way(pose(page), start) > 0.3)
-    page.keyboard.down("ArrowLeft")
+    hold(page, ["ArrowUp"], lambda: page.locator("#commanded", has_text="0.40 m/s").count())
+    hold(page, ["ArrowUp"], lambda: way(pose(page), start) > 0.3)
     turned = pose(page)[2]
-    until(page, lambda: math.remainder(pose(page)[2] - turned, 2 * math.pi) > 0.5)
+    hold(page, ["ArrowUp", "ArrowLeft"], lambda: math.remainder(pose(page)[2] - turned, 2 * math.pi) > 0.5)
     page.keyboard.press("Space")
     expect(page.locator("#commanded")).to_contain_text("0.00 m/s")
-    page.keyboard.up("ArrowUp")
-    page.keyboard.up("ArrowLeft")
+    for key in ("ArrowUp", "ArrowLeft"):
+        page.keyboard.up(key)
 
     def in_3d() -> dict[str, Any]:
         (viewer,) = server.client.get(f"/api/v1/scenes/{run_id}").json()["viewers"]

@@ -6,7 +6,7 @@ is dropped and counted, as the filter no longer keeps a state that old.
 
 from __future__ import annotations
 
-import dataclasses
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -78,15 +78,42 @@ class Replay:
         self.dropped += int(np.sum(~fresh))
         if not fresh.any():
             return
-        old, first = self._events, float(t[fresh].min())
-        parts = zip((old.t, old.kind, old.data, old.flags), (t, kind, data, flags), strict=True)
-        t, kind, data, flags = (np.concatenate((a, b[fresh])) for a, b in parts)
-        order = np.lexsort((*np.nan_to_num(data.T, nan=np.inf), kind, t))  # nothing is left to the order of arrival
-        t, kind = t[order], kind[order]
-        out = t[kind == OUT]
-        self._events = dataclasses.replace(old, t=t, kind=kind, data=data[order], flags=flags[order], out=out)
-        self._walk_from(int(np.searchsorted(t, first, "left")))
+        if not fresh.all():
+            t, kind, data, flags = t[fresh], kind[fresh], data[fresh], flags[fresh]
+        old, first = self._events, float(t.min())
+        late = bool(len(old.t)) and first <= old.t[-1]
+        if late:
+            t, kind, data, flags = (
+                np.concatenate(pair)
+                for pair in zip((old.t, old.kind, old.data, old.flags), (t, kind, data, flags), strict=True)
+            )
+        if not (t[1:] > t[:-1]).all():
+            order = np.lexsort((*np.nan_to_num(data.T, nan=np.inf), kind, t))  # nothing is left to the order of arrival
+            t, kind, data, flags = t[order], kind[order], data[order], flags[order]
+        taken = _with(old, t, kind, data, flags, t[kind == OUT])
+        if late:
+            self._events = taken
+            self._walk_from(int(np.searchsorted(t, first, "left")))
+        else:
+            self._go_on(taken)
         self._forget()
+
+    def _go_on(self, new: Events) -> None:
+        """Readings later than all that are here: on from the newest state."""
+        old, state, out = self._events, self._state.copy(), tracks(new)
+        before, rows, state.row = len(old.t), state.row, 0
+        for at in range(0, len(new.t), EVERY):
+            if before + at - self._kept[-1][0] >= EVERY:
+                self._kept.append((before + at, _earlier(state.copy(), -rows)))
+            self._problem.step(new, at, min(at + EVERY, len(new.t)), state, out)
+        self._state = _earlier(state, -rows)
+        self._rows = np.concatenate((self._rows, out.rows))
+        self._covariance = np.concatenate((self._covariance, out.covariance))
+        self._events = _with(
+            old, np.concatenate((old.t, new.t)), np.concatenate((old.kind, new.kind)),
+            np.concatenate((old.data, new.data)), np.concatenate((old.flags, new.flags)),
+            np.concatenate((old.out, new.out)),
+        )  # fmt: skip
 
     def _walk_from(self, changed: int) -> None:
         """From the last state before what has changed to the end."""
@@ -117,13 +144,17 @@ class Replay:
         self._begin = float(e.t[at - 1])
         self._old.append((e.out[:row], self._rows[:row], self._covariance[:row]))
         self._rows, self._covariance = self._rows[row:], self._covariance[row:]
-        self._events = dataclasses.replace(
-            e, t=e.t[at:], kind=e.kind[at:], data=e.data[at:], flags=e.flags[at:], out=e.out[row:]
-        )
+        self._events = _with(e, e.t[at:], e.kind[at:], e.data[at:], e.flags[at:], e.out[row:])
         self._kept = [(k - at, _earlier(s, row)) for k, s in self._kept[index:]]
         self._state = _earlier(self._state, row)
 
 
+def _with(events: Events, t: Array, kind: Any, data: Array, flags: Any, out: Array) -> Events:
+    """The same with other readings."""
+    e = events
+    return Events(t, kind, data, flags, out, e.first_offset, e.lasting, e.silence, e.notes)
+
+
 def _earlier(state: State, rows: int) -> State:
     """The state, with rows counted from later on."""
-    return dataclasses.replace(state, row=state.row - rows)
+    return State(state.x, state.P, state.mem, state.past, state.row - rows)

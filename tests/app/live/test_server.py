@@ -244,11 +244,16 @@ def test_one_drives_at_a_time_and_what_was_asked_is_recorded(client: TestClient)
         assert (command["v"], command["w"]) == (0.5, -0.2) and 0 < command["valid_s"] <= 1
         two.send_text(json.dumps({"type": "drive_request", "name": "Bo"}))
         assert heard(two, "refused")["code"] == "driving"
-        two.send_text(json.dumps({"type": "stop"}))
-        assert heard(robot, "stop")["seq"] > command["seq"]
         two.send_text(json.dumps({"type": "drive_request", "name": "Bo", "take_over": True}))
         assert heard(one, "driver", who="Bo")["you"] is False
+        assert heard(robot, "stop")["seq"] > command["seq"]
+        one.send_text(json.dumps({"type": "stop"}))  # who drove does not drive on
         heard(robot, "stop")
+        assert heard(two, "driver", who=None)["you"] is False
+        two.send_text(json.dumps({"type": "drive", "v": 0.2, "w": 0.0}))
+        assert heard(two, "refused")["code"] == "not_driver"
+        two.send_text(json.dumps({"type": "drive_request", "name": "Bo"}))
+        assert heard(two, "driver", you=True)["who"] == "Bo"
         two.send_text(json.dumps({"type": "drive", "v": 0.2, "w": 0.0}))
         assert heard(robot, "command")["v"] == 0.2
         heard(robot, "stop")  # nobody held the stick any more: dead man

@@ -1,0 +1,88 @@
+"""What is kept for a method that begins later, or looks back."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from core.estimation.odometry import WheelPath
+from core.estimation.rest import Rest
+from core.run import Run
+from core.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from core.live.odometry import EncodersGyro
+
+Array = npt.NDArray[np.float64]
+
+LONGEST = 60.0  # s
+
+
+class Rolled:
+    """The wheels' path over the last `keep` seconds."""
+
+    def __init__(self, keep: float) -> None:
+        self._keep = keep
+        self._parts: list[WheelPath] = []
+
+    def append(self, new: WheelPath) -> None:
+        """Rows after those that are here."""
+        self._parts.append(new)
+        if len(self._parts) > 64:
+            _ = self.path
+
+    @property
+    def path(self) -> WheelPath:
+        """All of it."""
+        if len(self._parts) != 1:
+            t, d, turn = (
+                np.concatenate([np.zeros(0), *(getattr(part, k) for part in self._parts)]) for k in ("t", "d", "turn")
+            )
+            first = int(np.searchsorted(t, self._parts[-1].t[0] - self._keep)) if self._parts else 0
+            self._parts = [WheelPath(t[first:], d[first:], turn[first:])]
+        return self._parts[0]
+
+
+class Early:
+    """Readings of the gyro before `encoders+gyro` has begun, and the path by the wheels meanwhile."""
+
+    def __init__(self) -> None:
+        self._paths: list[Trajectory] = []
+        self._rows: list[tuple[Array, Array]] = []
+
+    def by_wheels(self, path: Trajectory) -> None:
+        """Poses by the wheels alone."""
+        self._paths.append(path)
+        while self._paths[0].t[-1] < path.t[-1] - LONGEST:
+            self._paths.pop(0)
+
+    def by_imu(self, t: Array, inertial: Array) -> None:
+        """Readings, as of `Intake`."""
+        self._rows.append((t, inertial))
+        while self._rows[0][0][-1] < t[-1] - LONGEST:
+            self._rows.pop(0)
+
+    def rested(self, rest: Rest, run: Run) -> None:
+        """Which of them were at rest, as is known once the noise is."""
+        assert run.imu is not None
+        for t, inertial in self._rows:
+            at = np.minimum(np.searchsorted(run.imu.t, t), len(run.imu) - 1)
+            inertial[:, 2] = rest.flags[at] & (run.imu.t[at] == t)
+
+    def hand_over(self, gyro: EncodersGyro) -> None:
+        """All of it to the method that begins."""
+        gyro.begin(float(self._rows[0][0][0]), joined_paths(self._paths))
+        for t, inertial in self._rows:
+            gyro.take(t, inertial)
+        self._paths, self._rows = [], []
+
+
+def joined_paths(parts: list[Trajectory]) -> Trajectory:
+    """Paths that follow each other as one."""
+    if len(parts) == 1:
+        return parts[0]
+    t, x, y, theta = (np.concatenate([getattr(p, k) for p in parts]) for k in ("t", "x", "y", "theta"))
+    given = [p.covariance for p in parts if p.covariance is not None]
+    return Trajectory(t, x, y, theta, np.concatenate(given) if len(given) == len(parts) else None)
