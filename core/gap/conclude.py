@@ -36,7 +36,7 @@ def conclude(
     part: Part | None = None,
 ) -> Diagnosis:
     """Size, probability, place, shrinkage and advice. kept: held-out runs; part: else, what was found on a part."""
-    floor, seen_by = found.body.problem.floor, judged(found, reach, known, config)
+    floor, seen_by = found.floor, judged(found, reach, known, config)
     seen = [show(world, seen_by.small, seen_by.causing, floor) for world in fitted_on]
     apart = [show(world, seen_by.small, seen_by.causing, floor) for world in kept]
     names = tuple(seen_by.causing)

@@ -12,6 +12,7 @@ from core.effects import EFFECTS
 from core.gap.candidates import Candidate
 from core.gap.discrepancy import driven
 from core.gap.fit import flaws_of, refit, trifles_of, with_trifles
+from core.gap.floor import Floor
 from core.gap.linear import Model, Problem, linearise, with_floor
 from core.gap.scatter import DENSITIES, Scatter, block_means, gyro_left, gyro_walk, scatters, walk_costs
 from core.gap.screen import gains_of
@@ -42,12 +43,13 @@ def silent(fraction: float, message: str) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class Search:
-    """Everything the search found: one model per link, rests, noise effects."""
+    """Everything the search found: one model per link, rests, noise effects; the floor of all readings."""
 
     wheels: Found | None
     body: Found
     rests: Mapping[str, Rest]
     noises: tuple[Scatter, ...]
+    floor: Floor
 
     @property
     def links(self) -> tuple[Found, ...]:
@@ -72,21 +74,32 @@ class Search:
         return out
 
 
-def explain(problem: Problem, tried: Sequence[Candidate], progress: Progress = silent) -> Search:
-    """The models of both links; missed ticks, which act in both, by weighing whole explanations."""
+def explain(
+    problem: Problem,
+    tried: Sequence[Candidate],
+    progress: Progress = silent,
+    whole: Sequence[World] | None = None,
+    start: EffectSet | None = None,
+) -> Search:
+    """The models of both links; missed ticks, which act in both, by weighing whole explanations.
+
+    whole: the worlds with all their readings, where the problem's are thinned, for the noise. start: effects to begin
+    with, of which only those stay that are worth it.
+    """
+    whole = whole or problem.worlds
     links = problem.leads and problem.worlds[0].wheel_inputs is not None
     if not links:
         if problem.leads and problem.worlds[0].wheel_inputs is None:
             worlds = tuple(_smooth_wheels(world) for world in problem.worlds)
             problem = with_floor(dataclasses.replace(problem, worlds=worlds), {})
-        body = search(problem, [c for c in tried if c.effect != "missed_ticks"], "body")
-        return _finish(None, body, tried)
+        body = search(problem, [c for c in tried if c.effect != "missed_ticks"], "body", start)
+        return _finish(None, body, tried, whole)
     drive = [c for c in tried if EFFECTS[c.effect].family == "drive"]
     ticks = [c for c in tried if c.effect == "missed_ticks"]
     rest = [c for c in tried if c not in drive and c not in ticks]
-    wheels = search(problem, drive, "wheels", aside=ticks)
+    wheels = search(problem, drive, "wheels", start, aside=ticks)
     progress(0.3, "searching the body")
-    body = search(_driven(wheels, {}), rest, "body")
+    body = search(_driven(wheels, {}), rest, "body", start)
     lost = _missed(problem, wheels, drive, ticks)
     if lost is not None:
         held = {"missed_ticks": lost.fit.model["missed_ticks"]}
@@ -97,7 +110,7 @@ def explain(problem: Problem, tried: Sequence[Candidate], progress: Progress = s
         elif _price(lost, other) < _price(wheels, body):
             wheels, body = lost, other
     progress(0.55, "looking at what is left")
-    return _finish(wheels, body, tried)
+    return _finish(wheels, body, tried, whole)
 
 
 def _makes_up(model: EffectSet) -> bool:
@@ -177,7 +190,7 @@ def _price(*links: Found) -> float:
     return total
 
 
-def _finish(wheels: Found | None, body: Found, tried: Sequence[Candidate]) -> Search:
+def _finish(wheels: Found | None, body: Found, tried: Sequence[Candidate], worlds: Sequence[World]) -> Search:
     """Noise effects, a walking bias in place of mean ones, and what is left."""
     rests = {"body": rest_of(body.problem, body.fit)}
     walk = None if body.unknown is not None else _walking(body, rests["body"])
@@ -187,13 +200,15 @@ def _finish(wheels: Found | None, body: Found, tried: Sequence[Candidate]) -> Se
         acting = [c for c in acting if c.effect != "missed_ticks"]
         body = search(dataclasses.replace(body.problem, floor=floor), acting, "body")
         rests["body"] = rest_of(body.problem, body.fit)
-    whole = with_trifles(body.problem, body.fit)
-    noises = scatters(with_floor(body.problem, whole), whole, list(body.problem.known))
+    trifles = with_trifles(body.problem, body.fit)
+    driven_alike = tuple(all_of.driven_as(one) for one, all_of in zip(body.problem.worlds, worlds, strict=True))
+    every = with_floor(dataclasses.replace(body.problem, worlds=driven_alike), trifles)
+    noises = scatters(every, trifles, list(body.problem.known))
     if walk is not None and "gyro_walk" not in body.problem.known:
         noises.append(walk)
     if wheels is not None:
         rests["wheels"] = rest_of(wheels.problem, wheels.fit)
-    return Search(wheels, body, rests, tuple(noises))
+    return Search(wheels, body, rests, tuple(noises), every.floor)
 
 
 def _walking(body: Found, left: Rest) -> Scatter | None:

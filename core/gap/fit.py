@@ -102,17 +102,17 @@ def fit_at(problem: Problem, inside: Model, scope: str, spread: float = 1.0, sco
     beside = np.flatnonzero(nuisances.beside(list(inside)))
     at = np.zeros(len(nuisances.keys))
     sd, limit = nuisances.sd[beside], nuisances.limit[beside]
+    pull = _pull(white, nuisances)
     if len(beside):
-        pull = _pull(white, nuisances)
         at[beside], _ = bounded(nuisances.a[np.ix_(beside, beside)], pull[beside], sd, limit)
         white = without(white, nuisances, at)
         logs += float(np.sum((at[beside] / sd) ** 2))
-    normal = normal_equations(white, [one.key for one in columns], logs)
+    normal = normal_equations(white, [one.key for one in columns], logs, by_block=scores)
     _, g, a = normal.total
     free = beside[np.abs(at[beside]) < limit * (1.0 - 1e-9)]
     share = np.zeros((len(columns), 0))
     aside = _cross(white, nuisances, len(columns))[:, beside] if len(beside) else np.zeros((len(columns), 0))
-    joint = _joint(g, a, aside, nuisances, beside, at[beside], _pull(white, nuisances)[beside])
+    joint = _joint(g, a, aside, nuisances, beside, at[beside], pull[beside])
     if len(free) and len(columns):
         cross = aside[:, np.isin(beside, free)]
         inner = nuisances.a[np.ix_(free, free)] + np.diag(nuisances.sd[free] ** -2.0)
@@ -143,12 +143,13 @@ def with_trifles(problem: Problem, fit: Fit) -> Model:
 
 
 def _joint(
-    g: Array, a: Array, aside: Array, nuisances: Nuisances, beside: npt.NDArray[np.int64], at: Array, left: Array
+    g: Array, a: Array, aside: Array, nuisances: Nuisances, beside: npt.NDArray[np.int64], at: Array, all_of: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Own parameters' steps and the nuisances' whole sizes as one bounded problem."""
+    """Own parameters' steps and the nuisances' whole sizes as one bounded problem. all_of: the nuisances' products with
+    the residual before their part was taken out."""
     inner = nuisances.a[np.ix_(beside, beside)] if len(beside) else np.zeros((0, 0))
     whole = np.block([[a, aside], [aside.T, inner]])
-    pull = np.concatenate((g + aside @ at, left + inner @ at))
+    pull = np.concatenate((g + aside @ at, all_of))
     far = np.full(len(g), np.inf)
     return whole, pull, np.concatenate((far, nuisances.sd[beside])), np.concatenate((far, nuisances.limit[beside]))
 

@@ -21,6 +21,7 @@ from core.gap.nuisance import SPREAD as SHARE
 from core.gap.nuisance import Nuisances, limits
 from core.gap.whiten import (
     Events,
+    all_jumps,
     best_walk,
     events_of,
     imu_sigma,
@@ -221,56 +222,48 @@ def _white_body(
         if (one.streams & set(names) and not (problem.leads and _is_drive(one, model)))
         or (problem.leads and one.key.startswith("missed_ticks"))
     ]
-    base = world.body([problem.overlay(model, "body")])
-    residuals = residuals_of(world, {name: np.zeros((1, len(_full(world, name)))) for name in WHEELS}, base)
-    events = events_of(world, base, problem.floor, residuals)
-    jumps = jumps_of(world, base)
-    parts: dict[str, list[Array]] = {name: [residuals[name][None, :]] for name in names}
-    index: dict[str, list[int]] = {name: [] for name in names}
-    jump_rows = [jumps[None]]
-    posed: list[int] = []
-    for batch in world.batches(len(acting)):
+    seen = [name for name in names if name in POSES]
+    parts: dict[str, list[Array]] = {name: [] for name in names}
+    jump_rows: list[Array] = []
+    index: dict[str, list[int]] = {name: [] for name in (*IMU, "poses")}
+    for batch in world.batches(len(acting)) or [range(0)]:
         chosen = [acting[k] for k in batch]
-        out = world.body([problem.overlay(columns[i].effects, "body") for i in chosen])
-        for row, i in enumerate(chosen):
-            one = columns[i]
-            streams = (
-                one.streams if not one.key.startswith("missed_ticks") else frozenset(EFFECTS["wheel_radius"].streams)
-            )
-            for name in names:
-                if name in IMU and name in streams:
-                    far = world.channel(_row(out, row), name)[0] - world.channel(base, name)[0]
-                    parts[name].append(far[None, :] / one.step)
-                    index[name].append(i)
-            if streams & set(POSES) and events is not None:
-                posed.append(i)
-                for name in events.names:
-                    far = world.channel(_row(out, row), name)[0] - world.channel(base, name)[0]
-                    parts[name].append(np.nan_to_num(far)[None, :] / one.step)
-                moved = jumps_of(world, _row(out, row)) - jumps
-                jump_rows.append(-moved[None] / one.step)
-    white = {}
-    logs = 0.0
-    for name in names:
-        if name in IMU:
-            sigma = imu_sigma(world, name, base, problem.floor)
-            rows = white_imu(world, name, np.concatenate(parts[name]), sigma, problem.floor)
-            white[name] = White(world.times[name], rows[0], rows[1:], np.array(index[name], dtype=np.int64))
+        out = world.body([problem.overlay(one, "body") for one in (model, *(columns[i].effects for i in chosen))])
+        streams = [_streams(columns[i]) for i in chosen]
+        for kind in index:
+            here = seen if kind == "poses" else [kind] if kind in names else []
+            mine = [k for k, one in enumerate(streams) if one & (set(POSES) if kind == "poses" else {kind})]
+            index[kind] += [chosen[k] for k in mine]
+            rows, steps = [k + 1 for k in mine], np.array([columns[chosen[k]].step for k in mine])
+            for name in here:
+                far = world.channel(out, name)
+                parts[name].append(np.nan_to_num(far[rows] - far[:1], copy=False) / steps[:, None])
+            if kind == "poses" and here:
+                jumps = all_jumps(world, out)
+                jump_rows.append((jumps[:1] - jumps[rows]) / steps[:, None, None])
+    base = Outputs(*(column[:1] for column in out))
+    residuals = residuals_of(world, {name: np.zeros((1, len(_full(world, name)))) for name in WHEELS}, base)
+    events, white, logs = events_of(world, base, problem.floor, residuals), {}, 0.0
+    stacked = {name: np.concatenate([residuals[name][None, :], *parts[name]]) for name in names}
+    for name in (name for name in names if name in IMU):
+        sigma = imu_sigma(world, name, base, problem.floor)
+        one = white_imu(world, name, stacked[name], sigma, problem.floor)
+        white[name] = White(world.times[name], one[0], one[1:], np.array(index[name], dtype=np.int64))
     if events is not None:
-        stacked = {name: np.concatenate(parts[name]) for name in events.names}
-        rows_of, logs = white_poses(events, stacked, np.concatenate(jump_rows), problem.floor.walk)
-        for name in events.names:
-            rows = rows_of[name]
-            white[name] = White(world.times[name], rows[0], rows[1:], np.array(posed, dtype=np.int64))
+        every = np.concatenate([jumps_of(world, base)[None], *jump_rows])
+        found, logs = white_poses(events, {name: stacked[name] for name in events.names}, every, problem.floor.walk)
+        for name, one in found.items():
+            white[name] = White(world.times[name], one[0], one[1:], np.array(index["poses"], dtype=np.int64))
     return white, logs
+
+
+def _streams(one: Column) -> frozenset[str]:
+    """What a column can move: missed ticks move the body as wheels of another size."""
+    return frozenset(EFFECTS["wheel_radius"].streams) if one.key.startswith("missed_ticks") else one.streams
 
 
 def _is_drive(one: Column, model: EffectSet) -> bool:
     return EFFECTS[one.key.split(".")[0].split("*")[0]].family == "drive"
-
-
-def _row(out: Outputs, row: int) -> Outputs:
-    return Outputs(*(column[row : row + 1] for column in out))
 
 
 def _full(world: World, name: str) -> Array:
@@ -285,13 +278,16 @@ def loss(residual: Array) -> Array:
     return out
 
 
-def normal_equations(white: Sequence[Mapping[str, White]], keys: Sequence[str], logs: float = 0.0) -> Normal:
-    """Sums over readings, by channel and block."""
+def normal_equations(
+    white: Sequence[Mapping[str, White]], keys: Sequence[str], logs: float = 0.0, by_block: bool = False
+) -> Normal:
+    """Sums over readings, by channel; and by block of BLOCK, where asked for, else over each run."""
     names = tuple(name for name in (*WHEELS, *IMU, *POSES) if any(name in one for one in white))
+    length = BLOCK if by_block else np.inf
     blocks = [
-        (k, b * BLOCK)
+        (k, b)
         for k, one in enumerate(white)
-        for b in range(int(max((w.t[-1] for w in one.values()), default=0.0) // BLOCK) + 1)
+        for b in range(int(max((w.t[-1] for w in one.values() if len(w.t)), default=0.0) // length) + 1)
     ]
     place = {block: i for i, block in enumerate(blocks)}
     p, shape = len(keys), (len(names), len(blocks))
@@ -301,18 +297,24 @@ def normal_equations(white: Sequence[Mapping[str, White]], keys: Sequence[str], 
             if name not in one or not len(one[name].t):
                 continue
             w = one[name]
-            number = np.floor(np.maximum(w.t, 0.0) / BLOCK)
-            cuts = np.append(np.flatnonzero(np.diff(number, prepend=-1.0)), len(w.t))
+            weight = HUBER / np.maximum(np.abs(w.residual), HUBER)
+            pull, losses, weighted = w.residual * weight, loss(w.residual), w.columns * weight
+            number = np.floor(np.maximum(w.t, 0.0) / length).astype(int)
+            cuts = np.append(np.flatnonzero(np.diff(number, prepend=-1)), len(w.t)) if by_block else [0, len(w.t)]
             for first, last in itertools.pairwise(cuts):
-                j = place[(k, number[first] * BLOCK)]
-                r, e = w.residual[first:last], w.columns[:, first:last]
-                size = np.maximum(np.abs(r), HUBER)
-                n[i, j], c[i, j] = last - first, float(np.sum(loss(r)))
+                j = place[(k, int(number[first]))]
+                n[i, j], c[i, j] = last - first, float(losses[first:last].sum())
                 if len(w.index):
-                    weighted = e * (HUBER / size)
-                    g[i, j, w.index] = weighted @ r
-                    a[i, j][np.ix_(w.index, w.index)] = weighted @ e.T
-    return Normal(tuple(keys), names, np.array(blocks, dtype=float).reshape(-1, 2), n, c, g, a, logs)
+                    g[i, j, w.index] = w.columns[:, first:last] @ pull[first:last]
+                    a[i, j][np.ix_(w.index, w.index)] = weighted[:, first:last] @ w.columns[:, first:last].T
+    at = np.array([(k, b * BLOCK) for k, b in blocks], dtype=float).reshape(-1, 2)
+    return Normal(tuple(keys), names, at, n, c, g, a, logs)
+
+
+def cost_at(problem: Problem, model: EffectSet, scope: str) -> float:
+    """-2 log likelihood of a model as it stands, up to a constant, nothing free beside it."""
+    white, logs = whitened(problem, model, (), scope)
+    return logs + sum(float(np.sum(loss(w.residual))) for one in white for w in one.values())
 
 
 def secants_of(white: Sequence[Mapping[str, White]], count: int) -> Array:

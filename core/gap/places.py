@@ -174,8 +174,10 @@ def polish(
             best, lowest = tried, value
     for step in steps:
         for _ in range(2):
-            moved = False
+            moved, back = False, set[tuple[int, int, int]]()
             for dx, dy, dr in EDGES:
+                if (dx, dy, dr) in back:  # it has just come from there
+                    continue
                 tried = {
                     **best,
                     "x": float(best["x"]) + 0.5 * step * dx,
@@ -185,12 +187,13 @@ def polish(
                 value = cost(tried)
                 if value < lowest - 1.0:
                     best, lowest, moved = tried, value, True
+                    back.add((-dx, -dy, -dr))
             if not moved:
                 break
     return best
 
 
-SCATTERED = 30
+SCATTERED = 16
 """Discs tried by chance around the first, before its edges are moved."""
 EDGES = (
     (1, 0, 1), (1, 0, -1), (-1, 0, 1), (-1, 0, -1), (0, 1, 1), (0, 1, -1), (0, -1, 1), (0, -1, -1),

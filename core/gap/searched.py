@@ -14,6 +14,7 @@ from core.gap.floor import Floor
 from core.gap.linear import Problem, with_floor
 from core.gap.reference import restarts_of
 from core.gap.rolling import rolling
+from core.gap.thinned import thinned
 from core.gap.world import World, make_world
 from core.robot import EffectSet
 from core.run import Run
@@ -38,22 +39,32 @@ class Searched:
 
 def searched(runs: Sequence[Run], known: EffectSet, window: float, progress: Progress = silent) -> Searched:
     """Every effect that these runs show beside what the simulator already models."""
-    worlds = tuple(rolling(make_world(run, restarts_of(run, window))) for run in runs)
-    problem = with_floor(Problem(worlds, Floor({}, {}, {}), known), {})
+    worlds, fewer = _worlds(runs, window, {})
+    problem = with_floor(Problem(fewer, Floor({}, {}, {}), known), {})
     reach = reach_of(worlds)
     tried = candidates(worlds[0].channels, list(runs[0].meta.beacons), reach, known, _warm(runs))
     progress(0.1, "searching")
-    found = explain(problem, tried, progress)
+    found = explain(problem, tried, progress, worlds)
     for _ in range(AGAIN if any(run.truth is None for run in runs) else 0):
         if not any(EFFECTS[name].family in PATH for name in found.model):
             break
         progress(0.6, "again from the path set right")
         before = found.body.fit.cost
-        worlds = tuple(rolling(make_world(run, restarts_of(run, window, found.model))) for run in runs)
-        found = explain(with_floor(Problem(worlds, Floor({}, {}, {}), known), {}), tried)
+        worlds, fewer = _worlds(runs, window, found.model)
+        found = explain(with_floor(Problem(fewer, Floor({}, {}, {}), known), {}), tried, whole=worlds)
         if found.body.fit.cost > before - BETTER:
             break
     return Searched(found, worlds, tuple(tried), reach)
+
+
+def _worlds(runs: Sequence[Run], window: float, model: EffectSet) -> tuple[tuple[World, ...], tuple[World, ...]]:
+    """Every run with all its readings, and as the search sees it."""
+    restarts = [restarts_of(run, window, model) for run in runs]
+    worlds = tuple(rolling(make_world(run, at)) for run, at in zip(runs, restarts, strict=True))
+    fewer = thinned(runs)
+    if all(a is b for a, b in zip(runs, fewer, strict=True)):
+        return worlds, worlds
+    return worlds, tuple(rolling(make_world(run, at)) for run, at in zip(fewer, restarts, strict=True))
 
 
 def _warm(runs: Sequence[Run]) -> bool:

@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from core.effects import EFFECTS
-from core.gap.candidates import Candidate
+from core.gap.candidates import SEARCHED, Candidate
 from core.gap.discrepancy import flaws
-from core.gap.fit import Fit, cost_of, fit_at, parameters_of, refit, with_trifles, without
+from core.gap.fit import Fit, fit_at, parameters_of, refit, with_trifles, without
 from core.gap.generic import TRIFLE, Shape
-from core.gap.linear import Model, Problem, linearise, linearised, nuisances_of, secants_of, with_floor
+from core.gap.linear import Model, Problem, cost_at, linearised, nuisances_of, secants_of, with_floor
 from core.gap.places import placed, polish
 from core.gap.scatter import gyro_left, gyro_walk
 from core.gap.screen import Screen
@@ -79,8 +79,12 @@ def search(
 
     aside: effects that are no candidates here, but may act within their tolerance.
     """
-    fit = refit(problem, start or {}, scope)
+    names = {one.effect for one in tried} | (set() if scope == "wheels" else set(SEARCHED))
     worth = WHEELS_WORTH if scope == "wheels" else WORTH
+    fit = refit(problem, {name: dict(one) for name, one in (start or {}).items() if name in names}, scope)
+    if fit.model:
+        problem, fit, _ = screened(problem, fit, [*_fresh(tried, fit, None), *aside], scope)
+        fit, _ = _drop(problem, fit, scope, worth, least=1)
     steps: list[Step] = []
     gains: dict[str, float] = {}
     tolerated: dict[str, float] = {}
@@ -119,7 +123,8 @@ def search(
                 weighed = (*(pair for step in steps if step.action in gone for pair in step.gains), *weighed)
                 steps.append(Step(f"unknown {unknown[0].key}", weighed))
                 continue
-        steps += [Step(f"add {one}", weighed) for one in name.split("+")]
+        added = name.split("+")  # the two of a pair are no rivals of each other
+        steps += [Step(f"add {one}", tuple(p for p in weighed if p[0] == one or p[0] not in added)) for one in added]
         best, dropped = _drop(problem, best, scope, worth)
         steps += [Step(f"drop {one}") for one in dropped]
         best = _polished(problem, best, scope) if name == "slip_patch" else best
@@ -254,9 +259,12 @@ def _masked(
 
 
 def _earned(problem: Problem, fit: Fit, scope: str) -> dict[str, float]:
-    """Leaving each effect out in turn."""
+    """Leaving each effect out in turn; of a smooth one by the fit's own equations."""
     out = {}
     for name in fit.model:
+        if EFFECTS[name].smooth:
+            out[name] = _loss(fit, name)
+            continue
         rest = {k: v for k, v in fit.model.items() if k != name}
         out[name] = max(refit(problem, rest, scope, 2).cost - fit.cost, 0.0)
     return out
@@ -282,7 +290,7 @@ def _polished(problem: Problem, fit: Fit, scope: str, steps: Sequence[float] = (
     """A slip patch whose edges have been moved one by one, then refitted."""
 
     def cost(values: Mapping[str, float | str]) -> float:
-        return cost_of(linearise(problem, {**fit.model, "slip_patch": dict(values)}, (), scope, own=False))
+        return cost_at(problem, {**fit.model, "slip_patch": dict(values)}, scope)
 
     moved = polish(cost, fit.model["slip_patch"], steps)
     again = refit(problem, {**fit.model, "slip_patch": dict(moved)}, scope, BRIEF)
@@ -345,11 +353,11 @@ def _starts(tried: Sequence[Candidate], gain: Array) -> list[Candidate]:
     return out
 
 
-def _drop(problem: Problem, fit: Fit, scope: str, worth: float) -> tuple[Fit, list[str]]:
-    """Without every effect that the others can do without."""
+def _drop(problem: Problem, fit: Fit, scope: str, worth: float, least: int = 2) -> tuple[Fit, list[str]]:
+    """Without every effect that the others can do without; a model of fewer than `least` stays."""
     dropped: list[str] = []
     for name in list(fit.model):
-        if len(fit.model) < 2:
+        if len(fit.model) < least:
             break
         rest: Model = {k: v for k, v in fit.model.items() if k != name}
         if _loss(fit, name) > 50.0 * WORTH:

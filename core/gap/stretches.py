@@ -20,6 +20,7 @@ from core.gap.floor import Floor
 from core.gap.linear import Problem, with_floor
 from core.gap.reference import restarts_of
 from core.gap.rolling import rolling
+from core.gap.thinned import thinned
 from core.gap.types import Config
 from core.gap.world import World, make_world
 from core.robot import EffectSet
@@ -82,11 +83,11 @@ def on_a_part(
     spans = tuple(spans_of(run) for run in runs)
     if not any(spans):
         return None
-    fewer = [without(run, cut) for run, cut in zip(runs, spans, strict=True)]
+    fewer = [without(run, cut) for run, cut in zip(thinned(runs), spans, strict=True)]
     worlds = tuple(rolling(make_world(run, restarts_of(run, config.window, found.model))) for run in fewer)
     problem = with_floor(Problem(worlds, Floor({}, {}, {}), known), {})
     asked = in_question(found)
-    again = explain(problem, [one for one in tried if one.effect in asked])
+    again = explain(problem, [one for one in tried if one.effect in asked], start=found.model)
     whole = tuple(rolling(make_world(run, restarts_of(run, config.window, again.model))) for run in runs)
     return Part(again, whole, spans)
 

@@ -45,7 +45,7 @@ def evidence_of(
     kept: Sequence[World], kept_shown: Sequence[Shown],
 ) -> Evidence:  # fmt: skip
     """Everything that a report shows."""
-    floor = found.body.problem.floor
+    floor = found.floor
     screens = [one.screen for one in found.links if one.screen is not None]
     return Evidence(
         noise_floor=noise_floor(floor, stated(ground.worlds[0].run)),

@@ -100,11 +100,7 @@ def events_of(world: World, body: Outputs, floor: Floor, residuals: Mapping[str,
     if not names:
         return None
     path = np.column_stack((body.x[0], body.y[0], body.theta[0]))
-    index = np.concatenate([world.at[name] for name in names] + [world.ends])
-    kinds = np.concatenate(
-        [np.full(len(world.at[name]), k) for k, name in enumerate(names)] + [np.full(len(world.ends), len(names))]
-    )
-    order = np.lexsort((kinds, index))
+    index, order = np.concatenate([world.at[name] for name in names] + [world.ends]), world.order
     rows = np.concatenate([_rows(world, name, path[world.at[name]]) for name in names] + [world.restarts[:, 1:]])
     variance = np.concatenate(
         [_variance(name, residuals[name], floor) for name in names] + [np.full(len(world.ends), np.inf)]
@@ -117,7 +113,7 @@ def events_of(world: World, body: Outputs, floor: Floor, residuals: Mapping[str,
         pose=np.ascontiguousarray(path[index][order]),
         rows=np.ascontiguousarray(rows[order]),
         variance=variance[order],
-        restart=kinds[order] == len(names),
+        restart=order >= len(index) - len(world.ends),
         start=np.diag(sd**2),
     )
 
@@ -152,9 +148,14 @@ def _rows(world: World, name: str, pose: Array) -> Array:
 
 def jumps_of(world: World, body: Outputs) -> Array:
     """(K, 3) by how much the old stretch's end differs from the new stretch's start, at each restart, row 0."""
-    ends = np.column_stack((body.x[0, world.ends], body.y[0, world.ends], body.theta[0, world.ends]))
-    far = ends - world.restarts[:, 1:]
-    far[:, 2] = wrap(far[:, 2])
+    return all_jumps(world, body)[0]
+
+
+def all_jumps(world: World, body: Outputs) -> Array:
+    """(B, K, 3) the same of every row."""
+    ends = np.stack([column[:, world.ends] for column in (body.x, body.y, body.theta)], axis=-1)
+    far: Array = ends - world.restarts[:, 1:]
+    far[..., 2] = wrap(far[..., 2])
     return far
 
 
@@ -166,7 +167,7 @@ def white_poses(
     stacked = np.concatenate(
         [values[name] for name in events.names] + [np.zeros((sides, int(events.restart.sum())))], axis=1
     )
-    readings = np.ascontiguousarray(stacked.T[events.order])
+    readings = np.ascontiguousarray(stacked.T)[events.order]
     logs = whiten_poses(
         events.pose,
         events.rows,

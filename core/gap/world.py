@@ -39,7 +39,7 @@ FIELDS = {
 """Where `Outputs` holds a channel; truth is taken from the path."""
 BEFORE = 1e-6
 """A stretch's end is looked at this long before the restart [s]."""
-ROWS_AT_ONCE = 4_000_000
+ROWS_AT_ONCE = 16_000_000
 """Readings predicted in one batch: bounds memory."""
 
 
@@ -58,8 +58,10 @@ class World:
     """A run, its reference pose at each restart, and the kernels' inputs.
 
     restarts (K, 4): t, x, y, theta of each window's start. stamps (E,): union of all stamps of pose readings and the
-    instants before restarts; `at` says where a channel's stamps lie in it. `drive`: the drive as the encoders show it,
-    used for the body; None where the recorded wheels drive it (then `body_inputs` holds their rim speeds).
+    instants before restarts; `at` says where a channel's stamps lie in it, `kept` which rows of a stream are known,
+    `order` how readings of poses, channel after channel, then restarts follow each other in time. `drive`: the drive as
+    the encoders show it, used for the body; None where the
+    recorded wheels drive it (then `body_inputs` holds their rim speeds).
     """
 
     run: Run
@@ -71,6 +73,8 @@ class World:
     ends: Indices
     body_inputs: Inputs
     wheel_inputs: Inputs | None
+    kept: Mapping[str, Indices | slice]
+    order: Indices
     drive: EffectSet | None = None
     seen: Mapping[str, Mapping[str, float | str]] = dataclasses.field(default_factory=dict)
 
@@ -127,12 +131,17 @@ class World:
 
     def keep(self, name: str) -> Indices | slice:
         """Rows of a stream whose reading is known."""
-        full = _column(self.run, name)
-        return slice(None) if np.isfinite(full).all() else np.flatnonzero(np.isfinite(full))
+        return self.kept[name]
 
     def with_wheels(self, t: Array, left: Array, right: Array) -> World:
         """Driven by these rim speeds [m/s], linear between the stamps, in place of commands."""
         return dataclasses.replace(self, body_inputs=with_drive(self.body_inputs, t, left, right), drive=None, seen={})
+
+    def driven_as(self, other: World) -> World:
+        """Driven as another world of the same run is."""
+        lead = other.body_inputs
+        inputs = self.body_inputs._replace(times=lead.times, left=lead.left, right=lead.right, begin=lead.begin)
+        return dataclasses.replace(self, body_inputs=inputs, drive=other.drive, seen=other.seen)
 
     def with_drive(self, effects: EffectSet) -> World:
         """Driven by commands through this drive; missed ticks among the effects are what encoders hide."""
@@ -156,14 +165,19 @@ def make_world(run: Run, restarts: Array) -> World:
         wheel_inputs = prepare(dataclasses.replace(run, imu=None, beacon=None, ranges=None, truth=None))
     else:
         readings = {name: values for name, values in readings.items() if name not in WHEELS}
+    at = {name: np.searchsorted(stamps, times[name]) for name in POSES if name in times}
+    ends = np.searchsorted(stamps, restarts[:, 0] - BEFORE)
+    kinds = [np.full(len(rows), k) for k, rows in enumerate((*at.values(), ends))]
     return World(
         run=run,
         readings=readings,
         times=times,
         restarts=restarts,
         stamps=stamps,
-        at={name: np.searchsorted(stamps, times[name]) for name in POSES if name in times},
-        ends=np.searchsorted(stamps, restarts[:, 0] - BEFORE),
+        at=at,
+        ends=ends,
+        kept={name: slice(None) if one.all() else np.flatnonzero(one) for name, one in known.items()},
+        order=np.lexsort((np.concatenate(kinds), np.concatenate((*at.values(), ends)))),
         body_inputs=inputs,
         wheel_inputs=wheel_inputs,
         drive=drive_effects(run.meta.effects) if run.commands is not None else None,
