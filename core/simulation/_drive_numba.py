@@ -159,8 +159,8 @@ def wheel(
 ) -> tuple[float, float, Piece, Piece, Piece]:
     """One wheel's chain: h cut at its first event, exp(-h/2/tau); its speed after lag, acceleration and speed limit.
 
-    raw: set-point [m/s]; half: as of the given h; sag, fade, span: as `set_point` takes them; y, z: states of the lag and of the
-    acceleration limit.
+    raw: set-point [m/s]; half: as of the given h; sag, fade, span: as `set_point` takes them; y, z: states of the lag
+    and of the acceleration limit.
     """
     tau, itau, known = par[P.TAU], par[P.ITAU], h
     h, lagged = set_point(raw, h, sag, fade, span, par)
