@@ -114,7 +114,9 @@ def explain(
 
 
 def _makes_up(model: EffectSet) -> bool:
-    """Whether wheels of other sizes, beyond tolerance, are part of a model."""
+    """Whether wheels of other sizes, beyond tolerance, are in a model, or a floor that takes back what ticks gave."""
+    if "slip_patch" in model:
+        return True
     for name in KINEMATIC:
         for parameter in EFFECTS[name].parameters if name in model else ():
             if abs(float(model[name][parameter.name]) - 1.0) > (parameter.small or 0.0):
