@@ -15,6 +15,7 @@ import os
 import secrets
 import shutil
 import time
+from collections import deque
 from collections.abc import AsyncIterator, Callable
 from typing import Any
 
@@ -62,6 +63,8 @@ class Hub:
         self._workers = Workers(max(1, min(2, (os.cpu_count() or 2) - 1)), self._estimated, self._worker_died)
         self._tasks: set[asyncio.Task[None]] = set()
         self._loop = asyncio.get_running_loop()
+        self._written: deque[Callable[[], None]] = deque()  # told by the log's thread, not yet on the loop
+        self._telling = False
         self._changed: dict[str, float] = {}  # runs that have grown, and when the store looked at them last
 
     # ------------------------------------------------------------------------------------------------ robots
@@ -130,10 +133,17 @@ class Hub:
                     run.durable = max(run.durable, n)
                 answer(error)
 
-            with contextlib.suppress(RuntimeError):  # the loop has ended
-                self._loop.call_soon_threadsafe(on_loop)
+            self._written.append(on_loop)
+            if not self._telling:  # one call for all that come before it
+                self._telling = True
+                self.on_loop(self._tell_written)
 
         return done
+
+    def _tell_written(self) -> None:
+        self._telling = False  # first: what comes from now on calls again
+        while self._written:
+            self._written.popleft()()
 
     @staticmethod
     def ack(run: LiveRun) -> Ack:

@@ -145,10 +145,11 @@ class LiveRun:
             if not len(t):
                 continue
             newest = self._last.get(name)
-            first = 0
-            if newest is not None:
-                self._check_clock(name, t, newest)
-                first = int(np.searchsorted(t, newest, "right"))
+            if newest is None or (newest < t[0] and t[-1] - newest <= JUMP_AHEAD):
+                streams[name] = dict(columns)
+                continue
+            self._check_clock(name, t, newest)
+            first = int(np.searchsorted(t, newest, "right"))
             if first:
                 self.gauge.late(now, first)
             if first < len(t):

@@ -90,13 +90,18 @@ class _Worker:
         self._waiting: list[bytes] = []
 
     def send(self, message: Message) -> None:
-        data, process = packed(message), self._process
-        if process is None or process.stdin is None:
-            self._waiting.append(data)
-        elif process.returncode is None:
-            process.stdin.write(data)
-            if process.stdin.transport.get_write_buffer_size() > MOST_WAITING:
-                process.kill()
+        """What is sent in one turn of the loop goes in one write."""
+        self._waiting.append(packed(message))
+        if len(self._waiting) == 1 and self._process is not None:
+            asyncio.get_running_loop().call_soon(self._flush)
+
+    def _flush(self) -> None:
+        process, waiting, self._waiting = self._process, self._waiting, []
+        if process is None or process.stdin is None or process.returncode is not None:
+            return
+        process.stdin.write(b"".join(waiting))
+        if process.stdin.transport.get_write_buffer_size() > MOST_WAITING:
+            process.kill()
 
     async def run(self, hear: Callable[[Message], None]) -> None:
         """Start the process and hear it until it ends."""
@@ -108,9 +113,7 @@ class _Worker:
                  "OPENBLAS_NUM_THREADS": "1"},
         )  # fmt: skip
         assert self._process.stdin is not None and self._process.stdout is not None
-        for data in self._waiting:
-            self._process.stdin.write(data)
-        self._waiting = []
+        self._flush()
         with contextlib.suppress(asyncio.IncompleteReadError):
             while True:
                 head = await self._process.stdout.readexactly(LENGTH.size)

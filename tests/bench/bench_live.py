@@ -136,7 +136,7 @@ async def run_all(url: str, pid: int, options: argparse.Namespace) -> None:
                 break
             await asyncio.sleep(0.5)
         await web.post("/live/warm-up/end")
-        before, began = cpu_s(pid), time.monotonic()
+        before, began, own = cpu_s(pid), time.monotonic(), time.process_time()
         end = began + seconds
         robots = [robot(url, f"r{k}", run, parts, batch_s, end, seen[k]) for k in range(options.robots)]
         work = asyncio.gather(*robots)
@@ -151,7 +151,7 @@ async def run_all(url: str, pid: int, options: argparse.Namespace) -> None:
             elif not work.done():
                 break
         listed = (await web.get("/live")).json()["items"]
-        after, passed = cpu_s(pid), time.monotonic() - began
+        after, passed, own = cpu_s(pid), time.monotonic() - began, time.process_time() - own
         sent = await work
         rows = (await web.get("/live")).json()["items"]
     told = [r["quality"] for r in listed if r["quality"]["delay_ms"] is not None]
@@ -164,9 +164,15 @@ async def run_all(url: str, pid: int, options: argparse.Namespace) -> None:
     print(f"{sum(sent)} batches, {lost} not acknowledged; {imu} IMU rows, {dropped} rows dropped")
     print(f"sending to estimate: median {np.median(delay):.1f} ms, 99th percentile {np.median(worst):.1f} ms", end=" ")
     print(f"of the typical robot, {worst.max():.1f} ms of the worst")
-    used = {k: f"{100 * (after[k] - before.get(k, 0.0)) / passed:.0f} %" for k in after}
+    spent = {**{k: after[k] - before.get(k, 0.0) for k in after}, "these robots": own}
+    driven = imu / 100.0  # s of all robots together
+    used = {
+        k: f"{100 * v / passed:.0f} % of a core, {1e3 * v / driven:.2f} ms per robot and second"
+        for k, v in spent.items()
+    }
     held = {k: f"{v:.0f} MB" for k, v in memory_mb(pid).items()}
-    print("processor:", used, "memory:", held, "load:", round(os.getloadavg()[0], 1))
+    print("processor:", used)
+    print("memory:", held, "load:", round(os.getloadavg()[0], 1))
 
 
 def main() -> int:
