@@ -17,6 +17,8 @@ from core.gap.judge import odds
 from core.gap.judged import Judged, advisable, judged
 from core.gap.leftover import chance_of_unknown
 from core.gap.rejected import rejected, unseen
+from core.gap.remainder import SURE as LEFT_SURE
+from core.gap.remainder import remainder
 from core.gap.shrink import Scored, figures, show
 from core.gap.stretches import Part
 from core.gap.tell import Told, evidence_of
@@ -50,6 +52,8 @@ def conclude(
         seen = [show(world, seen_by.small, seen_by.causing, floor) for world in fitted_on]
         apart = [show(world, seen_by.small, seen_by.causing, floor) for world in kept]
     ground = ground_of(fitted_on, seen, seen_by.causing, floor)
+    if seen_by.unexplained is None:
+        seen_by = dataclasses.replace(seen_by, unexplained=remainder(ground, seen, floor))
     unexplained = seen_by.unexplained
     looked = look(ground, seen_by.causing, _shape(found) if unexplained is not None else None)
     causes = _causes(found, seen_by, _shares(found, seen_by, gap))
@@ -102,6 +106,8 @@ def _verdict(sure: Sequence[Cause], unexplained: Unexplained | None) -> str:
 def _others(found: Search, verdict: str, seen_by: Judged) -> dict[str, float]:
     """Probability of "none" and "unknown"."""
     strange = max(chance_of_unknown(found), *seen_by.doubt.values(), 0.0)
+    if seen_by.unexplained is not None:
+        strange = max(strange, LEFT_SURE)
     nothing = SURE_NONE * (1.0 - strange) if verdict == "none" else 0.0
     return {"none": nothing, "unknown": strange}
 
