@@ -19,20 +19,16 @@ from urllib.parse import urlsplit
 
 import httpx
 import pytest
-from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, Request, expect, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, Request, Route, expect, sync_playwright
 
 sys.path.insert(0, str(Path(__file__).parent))
 import install
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "app" / "examples"
-FLAGS = [
-    "--no-sandbox",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--disable-dev-shm-usage",
-    "--disable-background-networking",
-]
+FLAGS = ["--no-sandbox", "--disable-dev-shm-usage", "--disable-background-networking"]
+FLAT = ["--disable-gpu"]  # an emulated GPU takes thrice the time for pages without 3D
+WEBGL = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 # 3D in software takes a core at full rate; a few pictures a second show the same.
 SLOW_3D = """if (location.pathname.startsWith("/scene")) {
     const soon = window.requestAnimationFrame.bind(window);
@@ -123,15 +119,23 @@ def _wait_until_up(client: httpx.Client, process: subprocess.Popen[bytes], log: 
 
 
 @pytest.fixture(scope="session")
-def browser() -> Iterator[Browser]:
-    """One Chromium for all tests."""
+def browsers() -> Iterator[Callable[[bool], Browser]]:
+    """One Chromium for all tests, and one with WebGL for those of 3D: `browsers(with_3d)`."""
     path = install.find()
     if path is None:
         pytest.fail("the browser tests need Chromium: run tests/browser/install.py")
+    running: dict[bool, Browser] = {}
     with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=path, args=FLAGS)
-        yield chromium
-        chromium.close()
+
+        def get(with_3d: bool) -> Browser:
+            if with_3d not in running:
+                args = [*FLAGS, *(WEBGL if with_3d else FLAT)]
+                running[with_3d] = playwright.chromium.launch(executable_path=path, args=args)
+            return running[with_3d]
+
+        yield get
+        for chromium in running.values():
+            chromium.close()
 
 
 @dataclass
@@ -172,15 +176,21 @@ def watch(server: Server) -> Iterator[Watch]:
 
 
 @pytest.fixture
-def new_page(server: Server, browser: Browser, watch: Watch) -> Iterator[Callable[..., Page]]:
-    """Makes pages in contexts of their own: `new_page(color_scheme="dark", viewport={...})`."""
+def new_page(server: Server, browsers: Callable[[bool], Browser], watch: Watch) -> Iterator[Callable[..., Page]]:
+    """Makes pages in contexts of their own: `new_page(color_scheme="dark", viewport={...})`.
+
+    The 3D view stays empty unless with_3d: it would load and draw beside every test.
+    """
     contexts: list[BrowserContext] = []
 
-    def make(**options: Any) -> Page:
+    def make(*, with_3d: bool = False, **options: Any) -> Page:
         options.setdefault("viewport", {"width": 1280, "height": 800})
-        context = browser.new_context(base_url=server.url, **options)
+        context = browsers(with_3d).new_context(base_url=server.url, **options)
         context.set_default_timeout(PATIENCE_MS)
-        context.add_init_script(SLOW_3D)
+        if with_3d:
+            context.add_init_script(SLOW_3D)
+        else:
+            context.route("**/scene/**", _nothing)
         contexts.append(context)
         page = context.new_page()
         watch.follow(page)
@@ -189,6 +199,10 @@ def new_page(server: Server, browser: Browser, watch: Watch) -> Iterator[Callabl
     yield make
     for context in contexts:
         context.close()
+
+
+def _nothing(route: Route) -> None:
+    route.fulfill(body="<!doctype html><title>3D</title>", content_type="text/html")
 
 
 @pytest.fixture

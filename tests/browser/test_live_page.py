@@ -63,7 +63,8 @@ def hold(page: Page, keys: list[str], condition: Callable[[], Any]) -> None:
 def test_a_newcomer_drives_the_virtual_robot_and_finds_the_run_stored(
     new_page: Callable[..., Page], server: Server
 ) -> None:
-    page = new_page(color_scheme="light", viewport={"width": 900, "height": 560})  # small: WebGL is drawn in software
+    small = {"width": 900, "height": 560}  # WebGL is drawn in software
+    page = new_page(with_3d=True, color_scheme="light", viewport=small)
     page.goto("/live")
     page.get_by_role("button", name="Start a virtual robot").click()
     page.wait_for_url("**/live/virtual")

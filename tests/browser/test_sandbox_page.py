@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +44,8 @@ def test_a_move_changes_path_and_gap_and_goes_to_the_top(page: Page, square: dic
     expect(page.locator("#changed [data-effect]")).to_have_count(0)
 
 
-def test_a_link_restores_and_a_wrong_value_is_named(page: Page) -> None:
+def test_a_link_restores_and_a_wrong_value_is_named(new_page: Callable[..., Page]) -> None:
+    page = new_page(with_3d=True)
     open_sandbox(page, f"scenario=figure-eight&effects={EFFECTS}&noise=1&seed=4&t0=2&t1=9")
     field = page.get_by_label("track width, scale, value")
     expect(field).to_have_value("1.05")

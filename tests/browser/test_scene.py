@@ -49,7 +49,7 @@ def open_scene(page: Page, run: dict[str, Any], query: str = "") -> str:
 
 @pytest.fixture
 def small(new_page: Callable[..., Page]) -> Page:
-    return new_page(color_scheme="light", viewport=SMALL)
+    return new_page(with_3d=True, color_scheme="light", viewport=SMALL)
 
 
 def test_the_robots_move_with_the_pages_cursor(small: Page, mission: dict[str, Any]) -> None:
@@ -84,7 +84,7 @@ def test_what_is_drawn_changes_when_the_cursor_moves(small: Page, square: dict[s
 
 
 def test_theme_and_methods_are_the_pages(new_page: Callable[..., Page], mission: dict[str, Any]) -> None:
-    page = new_page(viewport=SMALL, color_scheme="dark")
+    page = new_page(with_3d=True, viewport=SMALL, color_scheme="dark")
     key = open_scene(page, mission)
     before = until(page, lambda: viewers(page, mission["id"]).get(key))
     assert before["theme"] == "dark"
