@@ -14,6 +14,7 @@ import logging
 import os
 import secrets
 import shutil
+import sys
 import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable
@@ -40,10 +41,12 @@ log = logging.getLogger("driftscope.live")
 QUIET_S = 5.0  # without a word for so long a robot is silent
 SILENCE_S = 120.0  # a robot that is silent for so long has ended its run
 GROW_S = 2.0  # between two looks of the store at a run that grows
+GROW_TOGETHER = 8  # runs in one transaction
 SWEEP_S = 1.0
 HEARTBEAT_S = 1.0  # viewers hear so often how the connection is, whatever robot and workers do
 LOOK_S = 0.5  # between two looks whether a run is stored
 MOST_ROBOTS = 200
+SWITCH_S = 1e-3  # the loop waits no longer for a thread that computes; Python's own is 5 ms
 
 
 class NameTakenError(ConflictError):
@@ -272,12 +275,12 @@ class Hub:
         """What the run's growth has left on disk, once it is stored."""
         shutil.rmtree(self.settings.data / "live" / run_id, ignore_errors=True)
 
-    def _grow(self, run: LiveRun) -> None:
-        """The store sees the run as it is by now."""
-        streams = run.columns.flush()
-        path = run.columns.sparkline(run.said.meta.robot)
+    def _grow(self, *runs: LiveRun) -> None:
+        """The store sees the runs as they are by now, in one transaction."""
+        seen = [(run.id, run.columns.flush(), run.columns.sparkline(run.said.meta.robot)) for run in runs]
         with writing(self._engine) as session:
-            store.grow(session, run.id, streams, path)
+            for run_id, streams, path in seen:
+                store.grow(session, run_id, streams, path)
 
     def recover(self) -> None:
         """Runs that were live when the server ended: made again from their logs."""
@@ -386,14 +389,12 @@ class Hub:
                     robot.state = "silent"  # one that posts its rows has no connection to lose
                 if run is not None and robot.connection is None and now - run.gauge.last_heard > SILENCE_S:
                     await self.end(robot)
-            period = max(GROW_S, 0.1 * len(self._runs))
+            period = max(GROW_S, 0.2 * len(self._runs))
             due = [r for r, looked in self._changed.items() if now - looked > period and r in self._runs]
-            for run_id in due:
-                self._changed[run_id] = now
-                run = self._runs.get(run_id)
-                if run is not None:
-                    with contextlib.suppress(OSError):
-                        await asyncio.to_thread(self._grow, run)
+            for some in (due[k : k + GROW_TOGETHER] for k in range(0, len(due), GROW_TOGETHER)):
+                self._changed.update(dict.fromkeys(some, now))
+                with contextlib.suppress(OSError):
+                    await asyncio.to_thread(self._grow, *(self._runs[r] for r in some if r in self._runs))
 
     async def stop(self) -> None:
         """Leave the runs as they are: they go on after the next start."""
@@ -414,6 +415,7 @@ class Hub:
 async def service(app: FastAPI) -> AsyncIterator[None]:
     """Live runs beside the server, as `app.state.live`."""
     submit = functools.partial(_submit, app)
+    sys.setswitchinterval(SWITCH_S)
     app.state.live = Hub(app.state.settings, app.state.engine, submit)
     app.state.live.start()
     try:
