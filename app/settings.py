@@ -6,6 +6,7 @@ import ipaddress
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from core.errors import ParameterError
 
@@ -61,7 +62,7 @@ class Settings:
         _SIMULATORS; `given` wins.
         """
         env = os.environ
-        values: dict[str, object] = {}
+        values: dict[str, Any] = {}
         for name, convert in {
             "data": Path, "host": str, "port": int, "token": str, "database_url": str, "scheduler": str, "workers": int,
             "simulators": Path,
@@ -75,4 +76,4 @@ class Settings:
                         f"DRIFTSCOPE_{name.upper()} is {raw!r}, expected {convert.__name__}", parameter=name
                     ) from None
         values.update({k: v for k, v in given.items() if v is not None})
-        return cls(**values)  # type: ignore[arg-type]
+        return cls(**values)

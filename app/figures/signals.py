@@ -63,7 +63,8 @@ def stream_of(manifest: Mapping[str, Any], name: str) -> Mapping[str, Any]:
         )
     for stream in manifest["streams"]:
         if stream["name"] == name:
-            return stream  # type: ignore[no-any-return]
+            found: Mapping[str, Any] = stream
+            return found
     has = [s["name"] for s in manifest["streams"]]
     raise MissingStreamError(f"this run has no stream {name!r}; it has {', '.join(has)}", missing=name, found=has)
 
