@@ -8,9 +8,9 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 from app.cli_calibrate import add_commands as add_calibrate_commands
 from app.cli_firmware import add_commands as add_firmware_commands
@@ -20,10 +20,12 @@ from app.cli_live import add_commands as add_live_commands
 from app.cli_simulate import add_commands as add_simulate_commands
 
 if TYPE_CHECKING:
+    from app.store.offline import Store
     from core.errors import DriftscopeError
     from core.estimation.result import Estimate
     from core.run import Run
 
+T = TypeVar("T")
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 RUN_HELP = "a run folder, a .zip of one, any other file that can be imported, or the id of a stored run"
 
@@ -192,20 +194,32 @@ def published(run: Run, made: Estimate, runtime: float) -> dict[str, Any]:
 
 def run_of(source: str, data: Path | None) -> Run:
     """The run that RUN names: what lies there, else what is stored under that id."""
-    from core.errors import FormatError
-
     if Path(source).exists():
         from core.formats import read_run
 
         return read_run(Path(source))
+    return _stored(source, data, lambda store: store.load(source))
+
+
+def simulated_beside(source: str, data: Path | None) -> Run | None:
+    """The simulated run in `sim/` beside the run that RUN names, None without."""
+    if Path(source).exists():
+        from core.formats import read_simulated
+
+        return read_simulated(Path(source))
+    return _stored(source, data, lambda store: store.load_simulated(source))
+
+
+def _stored(source: str, data: Path | None, load: Callable[[Store], T]) -> T:
     from app.errors import NotFoundError
     from app.settings import Settings
     from app.store.offline import Store
+    from core.errors import FormatError
 
     settings = Settings.from_env(data=data)
     try:
         with Store(settings, create=False) as store:
-            return store.load(source)
+            return load(store)
     except (NotFoundError, FileNotFoundError):
         raise FormatError(
             f"{source}: no such file or folder, and no stored run of that id in {settings.data}", file=source

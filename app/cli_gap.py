@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ def add_commands(commands: Any, run_help: str) -> None:
 
 
 def _diagnose(options: argparse.Namespace) -> int:
-    from app.cli import OK, _progress, run_of, write_json
+    from app.cli import OK, _progress, run_of, simulated_beside, write_json
     from app.settings import Settings
     from app.simulators import chosen
     from core.gap import Config, as_json, diagnose, evidence_json
@@ -47,7 +48,10 @@ def _diagnose(options: argparse.Namespace) -> int:
     held_out = [run_of(source, options.data) for source in options.held_out]
     path = Settings.from_env().simulators
     every = [*options.sources, *options.held_out]
-    foreign = [one for source in every if (one := chosen(options.simulator, path, Path(source))) is not None]
+    asked = [
+        chosen(options.simulator, path, partial(simulated_beside, source, options.data), source) for source in every
+    ]
+    foreign = [one for one in asked if one is not None]
     diagnosis = diagnose(runs, foreign or None, held_out, config, progress)
     found = as_json(diagnosis)
     progress(1.0, "done")

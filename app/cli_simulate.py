@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from core.robot import EffectSet
     from core.run import Run
+    from core.simulation.foreign import Foreign
 
 SCENARIO = "scenario:"
 
@@ -30,14 +31,18 @@ def add_commands(commands: Any, run_help: str) -> None:
     simulate.add_argument("--end", type=float, metavar="S", help="up to here only [s]")
     simulate.add_argument("--simulator", metavar="NAME", help="one registered in DRIFTSCOPE_SIMULATORS, or sim/ of RUN")
     simulate.add_argument("--out", required=True, type=Path, metavar="DIR", help="a run folder, made anew")
+    simulate.add_argument(
+        "--json", metavar="FILE", help="what was made, and the gap to a recorded run, as JSON (- for standard output)"
+    )
     simulate.add_argument("--data", type=Path, help="data folder of stored runs (default data)")
     simulate.set_defaults(run=_simulate)
 
 
 def _simulate(options: argparse.Namespace) -> int:
     import dataclasses
+    from functools import partial
 
-    from app.cli import OK
+    from app.cli import OK, write_json
     from app.settings import Settings
     from app.simulators import chosen
     from core.errors import ParameterError
@@ -45,7 +50,12 @@ def _simulate(options: argparse.Namespace) -> int:
     from core.simulation import simulate
     from core.simulation.foreign import around
 
-    foreign = chosen(options.simulator, Settings.from_env().simulators, Path(options.source))
+    foreign = chosen(
+        options.simulator,
+        Settings.from_env().simulators,
+        partial(_beside, options),
+        options.source,
+    )
     if foreign is not None and options.no_noise:
         raise ParameterError("--no-noise is of our own simulator only", parameter="no_noise")
     run = _driven(options.source, options.data)
@@ -63,7 +73,44 @@ def _simulate(options: argparse.Namespace) -> int:
     extra = {**run.meta.extra, "simulated": origin}  # beside what its simulator models, which stays as it was
     meta = dataclasses.replace(made.meta, name=f"{run.meta.name or 'run'} (simulated)", extra=extra)
     write_run(dataclasses.replace(made, meta=meta), options.out, "folder-csv")
+    if options.json:
+        gap = (
+            (None, DRIVEN_BY_NOBODY)
+            if _is_scenario(options.source)
+            else _gap(run, made, effects, foreign, options.seed)
+        )
+        told = {"schema": "simulate/1", **origin, "noise": not options.no_noise, "gap": gap[0], "no_gap": gap[1]}
+        write_json(options.json, told)
     return OK
+
+
+def _beside(options: argparse.Namespace) -> Run | None:
+    """The simulated run beside the real one, of the same stretch."""
+    from app.cli import simulated_beside
+
+    made = simulated_beside(options.source, options.data)
+    if made is None or (options.start is None and options.end is None):
+        return made
+    first, last = made.span
+    return made.crop(first if options.start is None else options.start, last if options.end is None else options.end)
+
+
+DRIVEN_BY_NOBODY = "a scenario was driven by nobody: there is nothing to hold it against"
+
+
+def _gap(
+    run: Run, made: Run, effects: EffectSet, foreign: Foreign | None, seed: int
+) -> tuple[dict[str, Any] | None, str | None]:
+    """How far real and simulated are apart, as the sandbox has it; or why there is no number."""
+    from app.sandbox.prepared import make_prepared
+
+    one = make_prepared(run, run.span, recorded=True, best=None)
+    gap = one.gap(effects, seed, foreign, made)
+    if gap is None:
+        return None, one.no_gap
+    by = {name: {"before": f.before, "after": f.after, "floor": f.floor} for name, f in gap.by_stream.items()}
+    total = {"before": gap.total.before, "after": gap.total.after, "floor": gap.total.floor, "shrink": gap.shrink}
+    return {**total, "by_stream": by}, None
 
 
 def read_effects(path: Path) -> EffectSet:
@@ -81,7 +128,7 @@ def read_effects(path: Path) -> EffectSet:
 def _driven(source: str, data: Path | None) -> Run:
     from app.cli import run_of
 
-    if not source.startswith(SCENARIO) or Path(source).exists():
+    if not _is_scenario(source):
         return run_of(source, data)
     from core.errors import ParameterError
     from core.simulation.scenarios import SCENARIOS
@@ -90,6 +137,10 @@ def _driven(source: str, data: Path | None) -> Run:
     if name not in SCENARIOS:
         raise ParameterError(f"there is no scenario {name!r}; expected one of {', '.join(SCENARIOS)}", scenario=name)
     return SCENARIOS[name].run()
+
+
+def _is_scenario(source: str) -> bool:
+    return source.startswith(SCENARIO) and not Path(source).exists()
 
 
 def _seed(text: str) -> int:

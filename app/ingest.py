@@ -16,7 +16,7 @@ import numpy.typing as npt
 import polars as pl
 
 from app.errors import DiskFullError, NotFoundError
-from app.store import arrays
+from app.store import arrays, beside
 from core.errors import NeedsMappingError
 from core.formats import UNITS, Limits, RunSource, StreamSource, meta_to_json, open_run, sniff, suggest_mapping
 from core.robot import RobotParams
@@ -70,9 +70,11 @@ def ingest_file(
         for i, stream in enumerate(streams):
             step = _part_of(progress, i, len(streams))
             written.append(_write(data, stream, stack, step))
+        aside = beside.write(data, source, stack)
         described = [_describe(data, stream, writers) for stream, writers in zip(streams, written, strict=True)]
+        simulated = beside.describe(source, aside)
     progress(1.0, "stored")
-    return _manifest(data, source, described, options, path)
+    return _manifest(data, source, described, options, path, simulated)
 
 
 def look_inside(path: Path, file_name: str) -> dict[str, Any]:
@@ -177,7 +179,12 @@ def described(data: Path, name: str, columns: Mapping[str, str], names: Sequence
 
 
 def _manifest(
-    data: Path, source: RunSource, streams: list[dict[str, Any]], options: IngestOptions, path: Path
+    data: Path,
+    source: RunSource,
+    streams: list[dict[str, Any]],
+    options: IngestOptions,
+    path: Path,
+    simulated: Mapping[str, Any],
 ) -> dict[str, Any]:
     meta = meta_to_json(source.meta)
     sha256 = run_hash(meta, streams)
@@ -199,6 +206,7 @@ def _manifest(
             "format": source.format,
             "size_bytes": _size(path),
             "mapping": dict(options.mapping) if options.mapping else None,
+            **simulated,
         },
         "warnings": list(source.warnings),
         "sparkline": sparkline(columns, source.meta.robot),

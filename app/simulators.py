@@ -50,17 +50,21 @@ def registered(path: Path | None) -> dict[str, Foreign]:
     return {name: _entry(name, entry) for name, entry in entries.items()}
 
 
-def chosen(name: str | None, path: Path | None, source: Path | None = None) -> Foreign | None:
+def chosen(
+    name: str | None, path: Path | None, beside: Callable[[], Run | None] = lambda: None, label: str = "the run"
+) -> Foreign | None:
     """The simulator of that name in the settings' file `path`, or for `sim` the recorded run beside the real one.
 
-    None for our own (`nominal`, or no name). Raises ParameterError (no such name) and FormatError (no `sim/`).
+    beside: reads the simulated run of the real one called `label`. None for our own (`nominal`, or no name). Raises
+    ParameterError (no such name) and FormatError (no `sim/`).
     """
     if name is None or name == OURS:
         return None
     if name == RECORDED:
-        if source is None or not (source / RECORDED).is_dir():
-            raise FormatError(f"{source}: there is no folder {RECORDED}/ with a simulated run beside the streams")
-        return recorded(f"{source.name}/{RECORDED}", read_run(source / RECORDED))
+        made = beside()
+        if made is None:
+            raise FormatError(f"{label}: there is no folder {RECORDED}/ with a simulated run beside the streams")
+        return recorded(f"{label}/{RECORDED}", made)
     simulators = registered(path)
     if name not in simulators:
         known = ", ".join([OURS, RECORDED, *simulators])

@@ -19,7 +19,8 @@ from app.errors import NotFoundError
 from app.figures import gap_sentence as words
 from app.jobs.kinds import diagnosis_params
 from app.settings import Settings
-from app.simulators import OURS, registered
+from app.simulators import OURS, RECORDED, registered
+from app.store import beside
 from app.store import diagnoses as store
 from app.store import runs as run_store
 from core.effects.chosen import effects_of
@@ -167,6 +168,16 @@ def check_request(session: Session, settings: Settings, wanted: wire.DiagnoseReq
         )
     check_tolerances(wanted.options.tolerances, "options.tolerances")
     simulator, known = wanted.options.simulator, [OURS, *registered(settings.simulators)]
+    bare = [i for i in (*wanted.runs, *wanted.held_out) if beside.KEY not in run_store.get_run(session, i).source]
+    if simulator == RECORDED and bare:
+        name = run_store.get_run(session, bare[0]).name
+        raise ParameterError(
+            f"options.simulator: run “{name}” was stored without a simulated run beside it (a folder sim/)",
+            parameter="options.simulator",
+            expected=known,
+            found=simulator,
+        )
+    known += [] if bare else [RECORDED]
     if simulator is not None and simulator not in known:
         raise ParameterError(
             f"options.simulator: there is no simulator {simulator!r}; expected one of {', '.join(known)}",

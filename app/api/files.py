@@ -16,6 +16,7 @@ from starlette.background import BackgroundTask
 
 from app.api.deps import ReadSession, RunId, SettingsDep
 from app.ingest import check_room
+from app.store import beside
 from app.store import runs as store
 from core.errors import MissingStreamError
 from core.formats import write_run, write_trajectory
@@ -24,11 +25,11 @@ from core.trajectory import Trajectory
 
 router = APIRouter(tags=["files"])
 FileName = Literal["run-csv.zip", "run-parquet.zip", "truth.tum", "truth.kitti"]
-MAKERS: dict[str, Callable[[Run, Path], None]] = {
-    "run-csv.zip": lambda run, path: write_run(run, path, "zip-csv"),
-    "run-parquet.zip": lambda run, path: write_run(run, path, "zip-parquet"),
-    "truth.tum": lambda run, path: write_trajectory(truth_of(run), path, "tum"),
-    "truth.kitti": lambda run, path: write_trajectory(truth_of(run), path, "kitti"),
+MAKERS: dict[str, Callable[[Run, Run | None, Path], None]] = {
+    "run-csv.zip": lambda run, simulated, path: write_run(run, path, "zip-csv", simulated),
+    "run-parquet.zip": lambda run, simulated, path: write_run(run, path, "zip-parquet", simulated),
+    "truth.tum": lambda run, _, path: write_trajectory(truth_of(run), path, "tum"),
+    "truth.kitti": lambda run, _, path: write_trajectory(truth_of(run), path, "kitti"),
 }
 BINARY: dict[int | str, dict[str, Any]] = {
     200: {
@@ -43,11 +44,13 @@ BINARY: dict[int | str, dict[str, Any]] = {
 
 @router.get("/runs/{run_id}/files/{file}", summary="Download a run", response_class=FileResponse, responses=BINARY)
 def download_run(session: ReadSession, settings: SettingsDep, run_id: RunId, file: FileName) -> FileResponse:
-    """The run in the run format, zipped, as CSV or Parquet; or its truth as TUM (`t x y z qx qy qz qw`) or KITTI."""
+    """The run in the run format, zipped, as CSV or Parquet, with the simulated run that lay beside it in `sim/`; or its
+    truth as TUM (`t x y z qx qy qz qw`) or KITTI.
+    """
     run = store.get_run(session, run_id)
     check_room(settings.data, run.size_bytes * (4 if file == "run-csv.zip" else 1))
-    loaded = store.load_run(session, settings, run_id)
-    return made_file(settings.data, f"{run.name} {file}", file, lambda path: MAKERS[file](loaded, path))
+    loaded, simulated = store.load_run(session, settings, run_id), beside.load(settings.data, run.source)
+    return made_file(settings.data, f"{run.name} {file}", file, lambda path: MAKERS[file](loaded, simulated, path))
 
 
 def made_file(data: Path, name: str, kind: str, make: Callable[[Path], None]) -> FileResponse:

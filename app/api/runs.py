@@ -9,7 +9,7 @@ from fastapi import APIRouter, Query
 from app.api import schemas
 from app.api.deps import ReadSession, RunId, SettingsDep, WriteSession
 from app.db.tables import Run
-from app.store import arrays
+from app.store import arrays, beside
 from app.store import jobs as job_store
 from app.store import results as result_store
 from app.store import runs as store
@@ -125,9 +125,10 @@ def detail(session: ReadSession, settings: SettingsDep, run: Run) -> schemas.Run
         for e in result_store.list_estimates(session, run.id)
     ]
     active = job_store.list_jobs(session, states=job_store.ACTIVE, run_id=run.id)
-    copied = ("sha256", "t0", "t1", "meta", "source", "notes")
+    copied = ("sha256", "t0", "t1", "meta", "notes")
     return schemas.RunDetail(
         **_summary(run),
+        source=beside.told(run.source),
         **{k: getattr(run, k) for k in copied},
         estimates=estimates,
         methods=dict(available(loaded)),

@@ -15,7 +15,8 @@ from pydantic_core import to_json
 from app.api import sandbox_schemas as wire
 from app.exports.effects import TARGETS, export_effects
 from app.sandbox.cache import Sandbox
-from app.sandbox.figure import figure
+from app.sandbox.figure import View, figure
+from app.sandbox.packed import MEDIA, listed, pack
 from app.sandbox.prepared import Prepared
 from app.simulators import OURS
 from core.effects import EFFECTS, check_effects
@@ -32,6 +33,13 @@ FILE: dict[int | str, dict[str, Any]] = {
         "model": wire.EffectFile,
         "description": "the file; or, with form=json, its text and what the target cannot say",
         "content": {kind: {"schema": {"type": "string"}} for kind in ("application/xml", "application/yaml")},
+    }
+}
+ANSWER: dict[int | str, dict[str, Any]] = {
+    200: {
+        "model": wire.SandboxAnswer,
+        "description": f"the move as JSON; with `Accept: {MEDIA}` packed, as `app/sandbox/packed.py` says",
+        "content": {MEDIA: {"schema": {"type": "string", "format": "binary"}}},
     }
 }
 Target = Annotated[str, Path(description=f"one of {', '.join(TARGETS)}", examples=["sdf"], max_length=40)]
@@ -52,7 +60,7 @@ def list_scenarios(request: Request) -> wire.SandboxSources:
     return wire.SandboxSources(scenarios=drives, simulators=[OURS, *_sandbox(request).simulators()])
 
 
-@router.post("/sandbox/simulate", summary="Simulate with effects, now", responses={200: {"model": wire.SandboxAnswer}})
+@router.post("/sandbox/simulate", summary="Simulate with effects, now", responses=ANSWER)
 def sandbox_simulate(request: Request, move: wire.SandboxMove) -> Response:
     """Paths, columns with residuals, and the gap against its floor; nothing is stored.
 
@@ -62,14 +70,16 @@ def sandbox_simulate(request: Request, move: wire.SandboxMove) -> Response:
     sandbox = _sandbox(request)
     effects = clean(move.effects)
     check_effects(effects)
-    foreign = sandbox.foreign(move.simulator)
     one = sandbox.prepared(move.run, move.scenario, move.start, move.end)
+    foreign = sandbox.foreign(move.simulator, one)
     began = time.perf_counter()
-    drawn = move.model_dump(include={"seed", "noise", "t0", "t1", "points", "path_points", "streams"})
-    made = figure(one, effects, foreign=foreign, **drawn)
+    view = View(move.t0, move.t1, move.points, move.path_points, move.streams, move.lines, move.gap)
+    made = figure(one, effects, seed=move.seed, noise=move.noise, foreign=foreign, view=view)
     took = round(1000.0 * (time.perf_counter() - began), 2)
     body = {"source": _source(one), **made, "runtime_ms": took}
-    return Response(to_json(body), media_type="application/json")
+    if request.headers.get("accept") == MEDIA:
+        return Response(pack(body), media_type=MEDIA)
+    return Response(to_json(listed(body)), media_type="application/json")
 
 
 @router.get("/exports/effects", summary="Languages that effects can leave in")
@@ -136,6 +146,7 @@ def _source(one: Prepared) -> dict[str, Any]:
         "recorded": one.recorded,
         "reference": one.real[0] if one.real else None,
         "placed": one.placed,
+        "simulated": one.beside is not None,
         "channels": one.channels,
         "beacons": [{"name": name, "x": p[0], "y": p[1], "z": p[2]} for name, p in meta.beacons.items()],
         "modelled": {effect: dict(values) for effect, values in meta.effects.items()},

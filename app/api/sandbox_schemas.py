@@ -91,10 +91,12 @@ class SandboxMove(SandboxSource):
     points: int = Field(600, ge=30, le=20_000, description="at most about so many readings per column")
     path_points: int = Field(1500, ge=10, le=50_000)
     streams: list[Name] | None = Field(None, max_length=40, description="columns to draw; default: all")
+    lines: bool = Field(True, description="false: neither paths nor columns, the gap alone")
+    gap: bool = Field(True, description="false: no gap number, which takes as long as all else")
 
 
 class SandboxPath(Wire):
-    """One line of the map: `real`, `nominal` or `patched`."""
+    """One line of the map: `real`, `nominal`, `patched`, or `recorded`, the simulated run that was stored with it."""
 
     method: str
     label: str
@@ -118,6 +120,7 @@ class SandboxColumn(Wire):
     nominal: list[float | None]
     patched: list[float | None]
     real: list[float | None] | None = None
+    recorded: list[float | None] | None = Field(None, description="of the simulated run that was stored with it")
     residual_nominal: list[float | None] | None = Field(None, description="real - nominal, angles wrapped")
     residual_patched: list[float | None] | None = Field(None, description="real - patched, angles wrapped")
 
@@ -147,6 +150,7 @@ class SandboxStretch(Wire):
     recorded: bool
     reference: str | None = Field(description="whose path `real` is: truth, or a method of estimation")
     placed: bool = Field(description="set down where the robot was, for the run does not say where it starts")
+    simulated: bool = Field(description="a simulated run was stored with it: the simulator `sim`, the lines `recorded`")
     channels: list[str]
     beacons: list[dict[str, Any]]
     modelled: Values = Field(description="effects that the run's simulator already has")
@@ -159,7 +163,7 @@ class SandboxAnswer(Wire):
     source: SandboxStretch
     paths: list[SandboxPath]
     streams: list[SandboxColumn]
-    gap: SandboxGap | None
+    gap: SandboxGap | None = Field(description="null too where it was not asked for")
     no_gap: str | None = Field(description="why there is no gap number")
     runtime_ms: float
 

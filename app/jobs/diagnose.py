@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +24,11 @@ def diagnose(
 ) -> dict[str, Any]:
     """What stored runs say of their simulator, for `app.store.diagnoses`.
 
-    tolerances: by "effect.parameter", in place of the table's. simulator: a name in the file `simulators`; None: ours.
+    tolerances: by "effect.parameter", in place of the table's. simulator: a name in the file `simulators`, or `sim`
+    for what was recorded beside every run; None: ours.
     """
-    from app.simulators import chosen
-    from app.store import arrays
+    from app.simulators import RECORDED, chosen
+    from app.store import arrays, beside
     from app.store.provenance import code_version
     from core.gap import Config, as_json, evidence_json
     from core.gap import diagnose as find
@@ -34,7 +36,13 @@ def diagnose(
     progress(0.0, "loading")
     runs, kept = ([arrays.run_from_manifest(data, m) for m in given] for given in (manifests, held_out))
     config = Config(tolerances=dict(tolerances), seed=seed)
-    foreign = chosen(simulator, Path(simulators) if simulators else None)
+    path = Path(simulators) if simulators else None
+    asked = [
+        chosen(simulator, path, partial(beside.load, data, m["source"]), m["name"])
+        for m in ((*manifests, *held_out) if simulator == RECORDED else manifests[:1])
+    ]
+    each = [one for one in asked if one is not None]
+    foreign = each if simulator == RECORDED else next(iter(each), None)
     found = find(runs, foreign, held_out=kept, config=config, progress=progress)
     progress(1.0, "saving")
     return {

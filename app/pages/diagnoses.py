@@ -14,7 +14,8 @@ from app.db.session import reading
 from app.db.tables import Run
 from app.figures.gap_sentence import VERDICTS
 from app.pages.base import Page, render, route
-from app.simulators import OURS
+from app.simulators import OURS, RECORDED
+from app.store import beside
 from app.store import diagnoses as store
 from app.store import jobs as job_store
 from core.effects import EFFECTS
@@ -47,15 +48,17 @@ def diagnoses(
     with reading(request.app.state.engine) as session:
         rows = store.list_diagnoses(session, limit=store.MAX_LISTED)
         active = job_store.list_jobs(session, states=["active"], limit=job_store.MAX_LISTED)
+        offered = _offered(session, wanted)
+        sims = [RECORDED] if any(beside.KEY in run.source for run in offered) else []
         page = DiagnosesPage(
             title="Diagnoses",
             sentence=sentence([row.verdict for row in rows], len({row.robot for row in rows if row.robot})),
             diagnoses=[one.model_dump(mode="json") for one in summaries(session, rows)],
             jobs=[job_store.as_dict(job) for job in active if job.kind == "diagnose"],
-            runs=[_choice(run) for run in _offered(session, wanted)],
+            runs=[_choice(run) for run in offered],
             effects=_sizes(),
             verdicts=VERDICTS,
-            simulators=[OURS, *request.app.state.sandbox.simulators()],
+            simulators=[OURS, *sims, *request.app.state.sandbox.simulators()],
         )
     return render(request, page)
 

@@ -12,7 +12,8 @@ from app.db.session import reading
 from app.db.tables import Run
 from app.exports.effects import TARGETS
 from app.pages.base import Page, render, route
-from app.simulators import OURS
+from app.simulators import OURS, RECORDED
+from app.store import beside
 from app.store.runs import get_run
 from core.errors import ParameterError
 from core.simulation.scenarios import SCENARIOS
@@ -46,6 +47,7 @@ def sandbox(request: Request, run: str | None = None, scenario: str | None = Non
         runs = [{"id": row.id, "name": row.name} for row in session.scalars(newest)]
         if run is not None and all(one["id"] != run for one in runs):
             runs.insert(0, {"id": run, "name": get_run(session, run).name})
+        simulated = run is not None and beside.KEY in get_run(session, run).source
     source: dict[str, Any] = {"run": run} if run else {"scenario": scenario or FIRST}
     page = SandboxPage(
         "Sandbox",
@@ -53,7 +55,7 @@ def sandbox(request: Request, run: str | None = None, scenario: str | None = Non
         source,
         runs,
         [{"name": s.name, "label": s.label} for s in SCENARIOS.values()],
-        [OURS, *request.app.state.sandbox.simulators()],
+        [OURS, *([RECORDED] if simulated else []), *request.app.state.sandbox.simulators()],
         [{"name": name, "label": t.label, "what": t.what} for name, t in TARGETS.items()],
     )
     return render(request, page)

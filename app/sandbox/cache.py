@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import threading
 from collections import OrderedDict
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass
 from typing import Any
 
 from fastapi import FastAPI
@@ -15,12 +17,25 @@ from app.db.session import reading
 from app.figures.path import of_estimate
 from app.sandbox.prepared import Prepared, make_prepared
 from app.settings import Settings
-from app.simulators import OURS, registered
-from app.store import results, runs
+from app.simulators import OURS, RECORDED, registered
+from app.store import beside, results, runs
 from core.errors import ParameterError
 from core.run import Run, RunMeta
-from core.simulation.foreign import Foreign
+from core.simulation.foreign import Foreign, recorded
 from core.simulation.scenarios import SCENARIOS
+
+Loaded = tuple[Run, tuple[str, str, Any] | None, Run | None]
+"""A run; method, label and columns of its best path; the simulated run that was stored beside it."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """What can be simulated: what tells it from all others, its first and last second, and how to load it."""
+
+    key: tuple[str, ...]
+    span: tuple[float, float]
+    load: Callable[[], Loaded]
+
 
 KEPT = 8
 LONGEST_S = 1200.0
@@ -34,21 +49,21 @@ class Sandbox:
 
     def __init__(self, settings: Settings, engine: Engine) -> None:
         self._settings, self._engine = settings, engine
-        self._kept: OrderedDict[tuple[str, str, float, float, str], Prepared] = OrderedDict()
+        self._kept: OrderedDict[tuple[str | float, ...], Prepared] = OrderedDict()
         self._lock, self._making = threading.Lock(), threading.Lock()
         self._foreign: dict[str, Foreign] | None = None
 
     def prepared(self, run: str | None, scenario: str | None, start: float | None, end: float | None) -> Prepared:
         """The stretch from `start` to `end` [s]. Raises NotFoundError, ParameterError, MissingStreamError."""
-        whole, best = self._source(run, scenario)
-        t0, t1 = whole.span
+        source = self._source(run, scenario)
+        t0, t1 = source.span
         start = t0 if start is None else min(max(start, t0), t1)
         end = min(start + LONGEST_S, t1) if end is None else min(max(end, t0), t1)
         if not end > start:
             raise ParameterError(
                 f"the stretch ends at {end:g} s, before it starts", parameter="end", expected=f"> {start:g}", found=end
             )
-        key = ("run" if run else "scenario", run or scenario or "", start, end, best[0] if best else "")
+        key: tuple[str | float, ...] = (*source.key, start, end)
         with self._lock:
             if key in self._kept:
                 self._kept.move_to_end(key)
@@ -57,7 +72,7 @@ class Sandbox:
             with self._lock:
                 if key in self._kept:
                     return self._kept[key]
-            made = self._make(whole, start, end, recorded=run is not None, best=best)
+            made = self._make(*source.load(), start, end, recorded=run is not None)
             with self._lock:
                 self._kept[key] = made
                 self._shrink()
@@ -65,12 +80,24 @@ class Sandbox:
 
     def meta(self, run: str | None, scenario: str | None) -> RunMeta:
         """The description of a source. Raises NotFoundError, ParameterError."""
-        return self._source(run, scenario)[0].meta
+        return self._source(run, scenario).load()[0].meta
 
-    def foreign(self, name: str | None) -> Foreign | None:
-        """A registered simulator, its process kept for the next call; None for our own. Raises ParameterError."""
+    def foreign(self, name: str | None, one: Prepared) -> Foreign | None:
+        """A registered simulator, its process kept for the next call; for `sim` what was recorded beside the run.
+
+        None for our own. Raises ParameterError.
+        """
         if name is None or name == OURS:
             return None
+        if name == RECORDED:
+            if one.beside is None:
+                raise ParameterError(
+                    "this run was stored without a simulated run beside it (a folder sim/)",
+                    parameter="simulator",
+                    expected=[OURS, *self.simulators()],
+                    found=name,
+                )
+            return recorded(RECORDED, one.beside)
         simulators = self.simulators()
         if name not in simulators:
             raise ParameterError(
@@ -85,9 +112,11 @@ class Sandbox:
                 self._foreign = registered(self._settings.simulators)
             return self._foreign
 
-    def _make(self, whole: Run, start: float, end: float, *, recorded: bool, best: Any) -> Prepared:
+    def _make(self, whole: Run, best: Any, aside: Run | None, start: float, end: float, *, recorded: bool) -> Prepared:
         t0, t1 = whole.span
-        cut = whole if (start, end) == (t0, t1) else whole.crop(start, end)
+        part = (start, end) != (t0, t1)
+        cut = whole.crop(start, end) if part else whole
+        made = aside.crop(start, end) if part and aside is not None else aside
         rows = sum(len(log) for log in cut.logs().values())
         if rows > MOST_ROWS:
             raise ParameterError(
@@ -96,7 +125,7 @@ class Sandbox:
                 expected=MOST_ROWS,
                 found=rows,
             )
-        return make_prepared(cut, (t0, t1), recorded=recorded, best=best)
+        return make_prepared(cut, (t0, t1), recorded=recorded, best=best, beside=made)
 
     def _shrink(self) -> None:
         while len(self._kept) > 1 and (
@@ -104,20 +133,35 @@ class Sandbox:
         ):
             self._kept.popitem(last=False)
 
-    def _source(self, run: str | None, scenario: str | None) -> tuple[Run, tuple[str, str, Any] | None]:
+    def _source(self, run: str | None, scenario: str | None) -> Source:
         if (run is None) == (scenario is None):
             raise ParameterError("expected either a run or a scenario", parameter="run", expected="run or scenario")
-        return self._stored(run) if run is not None else (self._scenario(scenario or ""), None)
+        if run is not None:
+            return self._stored(run)
+        made = self._scenario(scenario or "")
+        return Source(("scenario", scenario or ""), made.span, lambda: (made, None, None))
 
-    def _stored(self, run_id: str) -> tuple[Run, tuple[str, str, Any] | None]:
+    def _stored(self, run_id: str) -> Source:
+        """Few rows are read with every move: the run itself only where it is not at hand."""
+        with reading(self._engine) as session:
+            row = runs.get_run(session, run_id)
+            estimates = results.latest_by_method(session, run_id)
+            method = next((m for m in results.PREFERENCE if m in estimates), None)
+            best = estimates[method].id if method else ""
+            aside = " ".join(sorted(beside.keys(row.source)))
+            return Source(("run", row.id, row.name, best, aside), (row.t0, row.t1), lambda: self._load(run_id))
+
+    def _load(self, run_id: str) -> Loaded:
         with reading(self._engine) as session:
             run = runs.load_run(session, self._settings, run_id)
             estimates = results.latest_by_method(session, run_id)
             method = next((m for m in results.PREFERENCE if m in estimates), None)
             found = of_estimate(self._settings.data, estimates[method]) if method else None
-            return run, (found.method, found.label, found.columns) if found else None
+            best = (found.method, found.label, found.columns) if found else None
+            return run, best, runs.load_simulated(session, self._settings, run_id)
 
     @staticmethod
+    @functools.cache
     def _scenario(name: str) -> Run:
         if name not in SCENARIOS:
             raise ParameterError(

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from app.figures.path import Source, plain, thinned
+from app.figures.path import shape_points
 from app.figures.series import thin_rows, window
-from app.sandbox.prepared import FOREIGN, Prepared
+from app.sandbox.prepared import Prepared
 from core.errors import ParameterError
 from core.gap.floor import wrap
-from core.gap.types import Figures, Gap
+from core.gap.types import Figures
 from core.robot import EffectSet
 from core.run import Run
 from core.sensors import STREAMS
@@ -23,7 +24,26 @@ from core.simulation.foreign import Foreign
 Array = npt.NDArray[Any]
 BESIDE = ThreadPoolExecutor(2, "sandbox")
 """The gap is worked out beside the streams: the kernels let go of the interpreter's lock."""
-PLACES = 7  # rad/s: a tenth of a degree per hour
+
+
+SHAPES = ("real", "patched", "residual_patched", "recorded")
+"""Lines of a column whose peaks stay when it is thinned."""
+
+
+@dataclass(frozen=True)
+class View:
+    """What of a move is drawn: seconds (None: all), points per column and path, columns (None: all).
+
+    lines: paths and columns; gap: the gap number. A page that is in a hurry asks for the one, then for the other.
+    """
+
+    t0: float | None = None
+    t1: float | None = None
+    points: int = 600
+    path_points: int = 1500
+    streams: Sequence[str] | None = None
+    lines: bool = True
+    gap: bool = True
 
 
 def figure(
@@ -33,14 +53,10 @@ def figure(
     seed: int = 0,
     noise: bool = False,
     foreign: Foreign | None = None,
-    t0: float | None = None,
-    t1: float | None = None,
-    points: int = 600,
-    path_points: int = 1500,
-    streams: Sequence[str] | None = None,
+    view: View = View(),
 ) -> dict[str, Any]:
-    """One move of the sandbox as plain data. Raises as `simulate`, and ParameterError for an unknown stream."""
-    unknown = [name for name in streams or () if name not in one.channels]
+    """One move of the sandbox: plain data with arrays. Raises as `simulate`, ParameterError for an unknown stream."""
+    unknown = [name for name in view.streams or () if name not in one.channels]
     if unknown:
         raise ParameterError(
             f"streams: {unknown[0]!r} is not among {', '.join(one.channels)}",
@@ -48,27 +64,42 @@ def figure(
             expected=list(one.channels),
             found=unknown[0],
         )
-    gap = BESIDE.submit(_gap, one, effects, foreign)
+    gap = BESIDE.submit(_gap, one, effects, foreign, seed) if view.gap else None
+    lines = _lines(one, effects, seed, noise, foreign, view) if view.lines else {"paths": [], "streams": []}
+    return {**lines, **(gap.result() if gap else {"gap": None, "no_gap": None})}
+
+
+def _lines(
+    one: Prepared, effects: EffectSet, seed: int, noise: bool, foreign: Foreign | None, view: View
+) -> dict[str, Any]:
     nominal = one.nominal(seed, noise, foreign)
     patched = one.made(effects, seed, noise, foreign)
-    paths = [Source("nominal", "Nominal", True, _path(nominal)), Source("patched", "Patched", True, _path(patched))]
+    first, last = one.run.span
+    inside = (first if view.t0 is None else max(view.t0, first), last if view.t1 is None else min(view.t1, last))
+    paths: list[tuple[str, str, Mapping[str, Any] | None]] = [
+        ("nominal", "Nominal", one.path(nominal)),
+        ("patched", "Patched", one.path(patched)),
+    ]
     if one.real is not None:
         method, label, columns = one.real
-        paths.insert(0, Source("real", label if method == "truth" else f"Real, by {label}", True, columns))
-    first, last = one.run.span
-    inside = (first if t0 is None else max(t0, first), last if t1 is None else min(t1, last))
-    wanted = one.channels if streams is None else tuple(streams)
+        paths.insert(0, ("real", label if method == "truth" else f"Real, by {label}", columns))
+    if one.beside is not None:
+        paths.append(("recorded", "Recorded simulation", one.path(one.beside)))
+    wanted = one.channels if view.streams is None else tuple(view.streams)
     return {
-        "paths": [thinned(source, *inside, path_points) for source in paths],
-        "streams": [_column(one, name, nominal, patched, inside, points) for name in wanted],
-        **gap.result(),
+        "paths": [
+            _path(method, label, columns, inside, view.path_points)
+            for method, label, columns in paths
+            if columns is not None
+        ],
+        "streams": [_column(one, name, nominal, patched, inside, view.points) for name in wanted],
     }
 
 
-def _gap(one: Prepared, effects: EffectSet, foreign: Foreign | None) -> dict[str, Any]:
-    if foreign is not None or one.yardstick is None:
-        return {"gap": None, "no_gap": FOREIGN if foreign is not None else one.no_gap}
-    gap: Gap = one.yardstick.gap(effects)
+def _gap(one: Prepared, effects: EffectSet, foreign: Foreign | None, seed: int) -> dict[str, Any]:
+    gap = one.gap(effects, seed, foreign)
+    if gap is None:
+        return {"gap": None, "no_gap": one.no_gap}
     by = {name: _figures(value) for name, value in gap.by_stream.items()}
     return {"gap": {**_figures(gap.total), "shrink": gap.shrink, "streams": by}, "no_gap": None}
 
@@ -77,10 +108,15 @@ def _figures(value: Figures) -> dict[str, float]:
     return {"before": value.before, "now": value.after, "floor": value.floor}
 
 
-def _path(made: Run) -> Mapping[str, Array]:
-    truth = made.truth
-    assert truth is not None and truth.x is not None and truth.y is not None and truth.theta is not None
-    return {"t": truth.t, "x": truth.x, "y": truth.y, "theta": truth.theta}
+def _path(
+    method: str, label: str, columns: Mapping[str, Array], inside: tuple[float, float], points: int
+) -> dict[str, Any]:
+    """A line of the map, thinned."""
+    rows = window(columns["t"], *inside)
+    shown = {name: columns[name][rows] for name in ("t", "x", "y", "theta")}
+    picked = shape_points(shown["t"], shown["x"], shown["y"], points)
+    cut = {name: np.asarray(values[picked], np.float64) for name, values in shown.items()}
+    return {"method": method, "label": label, "total": len(shown["t"]), "shown": len(picked), **cut}
 
 
 def _column(
@@ -97,7 +133,10 @@ def _column(
         turned = wrap if column == "theta" else np.asarray
         lines |= {"real": real, "residual_nominal": turned(real - lines["nominal"])}
         lines["residual_patched"] = turned(real - lines["patched"])
-    picked = _rows(t, [lines[key] for key in ("real", "patched", "residual_patched") if key in lines], points)
+    beside = one.recording(name)
+    if beside is not None:
+        lines["recorded"] = beside[rows]
+    picked = _rows(t, [lines[key] for key in SHAPES if key in lines], points)
     told = STREAMS[stream].column(column)
     return {
         "column": name,
@@ -105,8 +144,8 @@ def _column(
         "label": told.label,
         "total": len(t),
         "shown": len(picked),
-        "t": plain(t[picked], 6),
-        **{key: plain(values[picked], PLACES) for key, values in lines.items()},
+        "t": t[picked],
+        **{key: np.asarray(values[picked], np.float64) for key, values in lines.items()},
     }
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from app.simulators import RECORDED
 from core.effects import EFFECTS
 from core.errors import DriftscopeError, MissingStreamError, ParameterError
 from core.gap.floor import Floor
@@ -18,6 +19,7 @@ from core.gap.linear import Problem, with_floor
 from core.gap.reference import restarts_of
 from core.gap.shrink import NOISES, Replay, replay, replay_inputs, scored
 from core.gap.types import Gap
+from core.gap.whole import apart
 from core.gap.world import CHANNELS, World, make_world
 from core.robot import EffectSet
 from core.run import Run
@@ -26,13 +28,15 @@ from core.simulation import simulate
 from core.simulation._batch_numba import Inputs
 from core.simulation.foreign import Foreign, around
 from core.simulation.inputs import prepare
+from core.simulation.links import body_from_wheels, truth_from_path
 
 Array = npt.NDArray[np.float64]
 
 PATH_STEP = 0.05
 """Spacing of the simulated path where the run has no truth [s]."""
 SCENARIO = "a scenario was driven by nobody: there is nothing to hold it against"
-FOREIGN = "this simulator gives whole runs only; the gap sets its pose anew every 2 s"
+MADE = 2
+"""Simulated runs that are kept beside the nominal one."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +59,8 @@ class Yardstick:
 class Prepared:
     """`run`: the stretch as recorded (a scenario: stamps only). `driven`: the same with stamps for the whole path.
 
-    real: the recorded path's columns t, x, y, theta with its label, or None. yardstick: None where `no_gap` says why.
+    real: the recorded path's columns t, x, y, theta with its label, or None. beside: the simulated run that was stored
+    with it, of the same stretch. yardstick: None where `no_gap` says why.
     """
 
     run: Run
@@ -67,8 +72,11 @@ class Prepared:
     yardstick: Yardstick | None
     no_gap: str | None
     placed: bool = False
+    beside: Run | None = None
     _nominal: dict[tuple[str, int, bool], Run] = field(default_factory=dict)
+    _made: dict[tuple[str, str, int], Run] = field(default_factory=dict)
     _lock: threading.Lock = field(default_factory=threading.Lock)
+    _making: threading.Lock = field(default_factory=threading.Lock)
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -83,18 +91,57 @@ class Prepared:
     def made(self, effects: EffectSet, seed: int, noise: bool, foreign: Foreign | None) -> Run:
         """The stretch simulated with these effects. Raises as `simulate` or `around`."""
         if foreign is not None:
-            return around(foreign, self.driven, effects, seed)
+            return self._around(foreign, effects, seed)
         return simulate(self.driven, effects, seed, noise=noise, inputs=self.inputs)
 
     def nominal(self, seed: int, noise: bool, foreign: Foreign | None) -> Run:
         """The simulator as it is; kept until seed, noise or simulator change."""
-        key = (foreign.name if foreign else "", seed, noise)
-        with self._lock:
+        key = (foreign.name if foreign else "", seed, noise or foreign is not None)
+        with self._making:
             found = self._nominal.get(key)
             if found is None:
                 found = self.made({}, seed, noise, foreign)
                 self._nominal = {key: found}
             return found
+
+    def _around(self, foreign: Foreign, effects: EffectSet, seed: int) -> Run:
+        """The last few are kept: paths and gap are asked for one after the other, and such a run may take a minute."""
+        key = (foreign.name, repr(sorted((name, sorted(v.items())) for name, v in effects.items())), seed)
+        with self._lock:
+            if key in self._made:
+                return self._made[key]
+        # a recording has its own stamps: of the path too, where the run has none
+        if foreign.name == RECORDED and self.beside is not None:
+            made = around(foreign, self.run, effects, seed)
+            made = dataclasses.replace(made, truth=made.truth or self.beside.truth)
+        else:
+            made = around(foreign, self.driven, effects, seed)
+        with self._lock:
+            self._made = {**dict(list(self._made.items())[1 - MADE :]), key: made}
+        return made
+
+    def gap(
+        self, effects: EffectSet, seed: int = 0, foreign: Foreign | None = None, made: Run | None = None
+    ) -> Gap | None:
+        """How far real and simulated are apart; None where `no_gap` says why. Raises as `around`.
+
+        made: what `foreign` makes of the run with these effects, if at hand, its path in it.
+        """
+        if self.yardstick is None:
+            return None
+        if foreign is None:
+            return self.yardstick.gap(effects)
+        if made is None or self.path(made) is None:
+            made = self.made(effects, seed, True, foreign)
+        nominal = self.nominal(seed, True, foreign) if effects else made
+        return apart(self.yardstick.world, nominal, made, effects)
+
+    def path(self, made: Run) -> Mapping[str, Any] | None:
+        """Columns t, x, y, theta of a simulated path; None where the simulator tells none."""
+        truth = made.truth
+        if truth is None or truth.x is None or truth.y is None or truth.theta is None:
+            return None
+        return {"t": truth.t, "x": truth.x, "y": truth.y, "theta": truth.theta}
 
     def readings(self, made: Run, name: str) -> Array:
         """(N,) a simulated column at the run's own stamps; NaN where the simulator has no reading."""
@@ -106,6 +153,14 @@ class Prepared:
         out = np.full(len(own), np.nan)
         out[np.searchsorted(own.t, log.t)] = values
         return out
+
+    def recording(self, name: str) -> Array | None:
+        """(N,) a column of the simulated run that was stored with this one, where it has it at the run's stamps."""
+        stream, column = name.split(".")
+        log, own = getattr(self.beside, stream, None), getattr(self.run, stream)
+        if log is None or getattr(log, column) is None or not np.isin(log.t, own.t).all():
+            return None
+        return None if self.beside is None else self.readings(self.beside, name)
 
     def idle(self) -> dict[str, str]:
         """Effects that cannot show in this run, with the reason."""
@@ -124,9 +179,16 @@ class Prepared:
 
 
 def make_prepared(
-    run: Run, full: tuple[float, float], *, recorded: bool, best: tuple[str, str, Any] | None
+    run: Run,
+    full: tuple[float, float],
+    *,
+    recorded: bool,
+    best: tuple[str, str, Any] | None,
+    beside: Run | None = None,
 ) -> Prepared:
     """A cropped run ready to be simulated. best: method, label and columns of its best path, where it has no truth.
+
+    beside: a simulated run that was recorded with it.
 
     Raises MissingStreamError where nothing can drive the simulator.
     """
@@ -148,7 +210,8 @@ def make_prepared(
     if whole and recorded:
         assert truth is not None
         real = ("truth", "Truth", {"t": truth.t, "x": truth.x, "y": truth.y, "theta": truth.theta})
-    return Prepared(run, recorded, full, driven, inputs, real, yardstick, why, placed)
+    beside = None if beside is None else _with_path(beside)
+    return Prepared(run, recorded, full, driven, inputs, real, yardstick, why, placed, beside)
 
 
 def stretch(run: Run, start: float | None, end: float | None) -> tuple[Run, Inputs]:
@@ -168,6 +231,15 @@ def stretch(run: Run, start: float | None, end: float | None) -> tuple[Run, Inpu
     cut = run if (first, last) == (t0, t1) else run.crop(first, last)
     restarts = restarts_of(cut) if cut.meta.start is None else np.empty((0, 4))
     return cut, prepare(cut, restarts[:1] if len(restarts) else None)
+
+
+def _with_path(made: Run) -> Run:
+    """With the path that its wheels drive, where it tells none itself."""
+    told = made.truth is not None and made.truth.x is not None and made.truth.theta is not None
+    if told or made.wheels is None or len(made.wheels) < 2:
+        return made
+    blank = dataclasses.replace(made, imu=None, beacon=None, ranges=None, truth=_stamps_of_path(made, None))
+    return dataclasses.replace(made, truth=truth_from_path(body_from_wheels(blank, {}), blank))
 
 
 def _stamps_of_path(run: Run, truth: TruthLog | None) -> TruthLog:

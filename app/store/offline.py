@@ -42,6 +42,11 @@ class Store:
         with reading(self._engine) as session:
             return runs.load_run(session, self._settings, run_id)
 
+    def load_simulated(self, run_id: str) -> CoreRun | None:
+        """The simulated run that was stored beside it, None without; NotFoundError if there is no such run."""
+        with reading(self._engine) as session:
+            return runs.load_simulated(session, self._settings, run_id)
+
     def __enter__(self) -> Self:
         return self
 

@@ -15,7 +15,7 @@ from app.db.session import reading
 from app.db.tables import Estimate, ImuResult, LiveRun, Robot, Run, RunWords, Stream, Tag, now
 from app.errors import ConflictError, NotFoundError
 from app.settings import Settings
-from app.store import arrays
+from app.store import arrays, beside
 from app.store.run_list import MAX_LIMIT, SORTS, RunPage, RunQuery, list_runs
 from core.errors import ParameterError
 from core.run import Run as CoreRun
@@ -34,6 +34,8 @@ def add_run(session: Session, manifest: Mapping[str, Any], *, is_example: bool =
     if run is None:
         run = _new_row(session, manifest)
         session.add(run)
+    elif beside.KEY in manifest["source"]:  # the same readings, with a simulated run beside them now
+        run.source = {**run.source, beside.KEY: manifest["source"][beside.KEY]}
     run.deleted_at = None
     run.is_example = run.is_example or is_example
     _set_tags(run, [*(t.tag for t in run.tags), *manifest.get("tags", ())])
@@ -100,6 +102,13 @@ def load_run(source: Session | Engine, settings: Settings, run_id: str) -> CoreR
     return arrays.run_from_manifest(settings.data, found)
 
 
+def load_simulated(source: Session | Engine, settings: Settings, run_id: str) -> CoreRun | None:
+    """The simulated run that was stored beside a run (its folder `sim/`), None without."""
+    with nullcontext(source) if isinstance(source, Session) else reading(source) as session:
+        found = get_run(session, run_id).source
+    return beside.load(settings.data, found)
+
+
 def update_run(
     session: Session,
     run_id: str,
@@ -164,6 +173,8 @@ def collect_arrays(session: Session, data: Path, *, older_than: float = arrays.G
     for table in (Stream.columns, Estimate.arrays, ImuResult.arrays):
         for columns in session.scalars(select(table)):
             referenced.update(columns.values())
+    for source in session.scalars(select(Run.source)):
+        referenced.update(beside.keys(source))
     return arrays.collect(data, referenced, older_than=older_than)
 
 

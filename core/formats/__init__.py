@@ -25,7 +25,7 @@ FORMATS: dict[str, Format] = {
 }
 """What can be read, in the order in which a file is tried."""
 
-WRITERS: dict[str, Callable[[Run, Path], None]] = {
+WRITERS: dict[str, Callable[[Run, Path, Run | None], None]] = {
     name: writer for f in FORMATS.values() for name, writer in f.write.items()
 }
 """What `write_run` can write, by name."""
@@ -97,12 +97,21 @@ def read_run(
         return read_all(source)
 
 
-def write_run(run: Run, path: Path, format: str) -> None:  # noqa: A002
-    """Write a run: format is one of WRITERS ('folder-csv', 'folder-parquet', 'zip-csv', 'zip-parquet')."""
+def read_simulated(path: Path, *, limits: Limits | None = None) -> Run | None:
+    """The simulated run that lies in `sim/` beside a real one, None without; errors as for `open_run`."""
+    with open_run(path, limits=limits) as source:
+        return None if source.simulated is None else read_all(source.simulated)
+
+
+def write_run(run: Run, path: Path, format: str, simulated: Run | None = None) -> None:  # noqa: A002
+    """Write a run: format is one of WRITERS ('folder-csv', 'folder-parquet', 'zip-csv', 'zip-parquet').
+
+    simulated: a simulated run, to lie in `sim/` beside it.
+    """
     if format not in WRITERS:
         known = ", ".join(WRITERS)
         raise ParameterError(f"unknown format {format!r}; expected one of {known}", parameter="format", expected=known)
-    WRITERS[format](run, path)
+    WRITERS[format](run, path, simulated)
 
 
 def write_trajectory(trajectory: Trajectory, path: Path, format: str) -> None:  # noqa: A002
@@ -133,6 +142,7 @@ __all__ = [
     "open_run",
     "open_table",
     "read_run",
+    "read_simulated",
     "sniff",
     "suggest_mapping",
     "write_run",

@@ -125,7 +125,10 @@ class StreamSource:
 
 @dataclass
 class RunSource:
-    """An opened run: its description, warnings, and streams to be read one after the other. Close it after use."""
+    """An opened run: its description, warnings, and streams to be read one after the other. Close it after use.
+
+    `simulated`: the simulated run that lies beside it in a folder `sim/`, where there is one.
+    """
 
     file: str
     format: str
@@ -133,6 +136,7 @@ class RunSource:
     sources: tuple[StreamSource, ...]
     found: list[str] = field(default_factory=list)
     cleanup: ExitStack = field(default_factory=ExitStack)
+    simulated: RunSource | None = None
 
     def streams(self) -> Iterator[StreamSource]:
         """The streams in the run format's order."""
@@ -182,4 +186,4 @@ class Format:
     sniff: Callable[[str, bytes | None], bool]
     open: Callable[[Path, Opening], RunSource]
     table: Callable[[Path, str, Limits], Table] | None = None  # for formats that are one table
-    write: Mapping[str, Callable[[Run, Path], None]] = field(default_factory=dict)
+    write: Mapping[str, Callable[[Run, Path, Run | None], None]] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""Run folder: `run.json` and one NAME.csv or NAME.parquet per stream."""
+"""Run folder: `run.json` and one NAME.csv or NAME.parquet per stream; in `sim/` the same of a simulated run."""
 
 from __future__ import annotations
 
@@ -18,27 +18,34 @@ from core.run import Run
 from core.sensors import STREAMS, Log, RangeLog
 
 DESCRIPTION = "run.json"
+SIMULATED = "sim"
+"""Folder of a simulated run beside the real one."""
 TABLES: dict[str, type[CsvTable] | type[ParquetTable]] = {".csv": CsvTable, ".parquet": ParquetTable}
 """Table formats by file suffix."""
 
 
 def open_folder(path: Path, opening: Opening) -> RunSource:
-    """A run folder."""
+    """A run folder, and the simulated run beside it."""
     files = {file.name: file for file in sorted(path.iterdir()) if not file.name.startswith(".")}
     folders = [name for name, file in files.items() if file.is_dir()]
     source = open_files(
         {n: f for n, f in files.items() if n not in folders}, opening, opening.name or path.resolve().name, "folder"
     )
+    beside = path / SIMULATED
+    if SIMULATED in folders and (beside / DESCRIPTION).is_file():
+        folders.remove(SIMULATED)
+        inside = {f.name: f for f in sorted(beside.iterdir()) if f.is_file() and not f.name.startswith(".")}
+        source.simulated = open_files(inside, opening, f"{source.file}/{SIMULATED}", "folder", f"{SIMULATED}/")
     source.found += [f"folder {name!r} was ignored" for name in folders]
     return source
 
 
-def open_files(files: dict[str, Path], opening: Opening, label: str, kind: str) -> RunSource:
-    """A run from its files by name: what a folder and an archive have in common."""
+def open_files(files: dict[str, Path], opening: Opening, label: str, kind: str, inside: str = "") -> RunSource:
+    """A run from its files by name: what a folder and an archive have in common. inside: the folder, for messages."""
     if DESCRIPTION not in files:
         refuse(label, f"there is no {DESCRIPTION}", expected=DESCRIPTION, found=sorted(files)[:50])
     tables = stream_files(list(files), label)
-    meta, warnings = read_run_json(files[DESCRIPTION], DESCRIPTION, opening.limits)
+    meta, warnings = read_run_json(files[DESCRIPTION], inside + DESCRIPTION, opening.limits)
     if not tables:
         refuse(
             label,
@@ -48,13 +55,13 @@ def open_files(files: dict[str, Path], opening: Opening, label: str, kind: str) 
         )
     streams = tuple(
         native_stream(
-            STREAMS[name], _open_table(files[tables[name]], tables[name], opening.limits, name), opening.limits
+            STREAMS[name], _open_table(files[tables[name]], inside + tables[name], opening.limits, name), opening.limits
         )
         for name in STREAMS
         if name in tables
     )
     ignored = sorted(set(files) - set(tables.values()) - {DESCRIPTION})
-    warnings += [f"file {name!r} was ignored: not part of a run" for name in ignored]
+    warnings += [f"file {inside + name!r} was ignored: not part of a run" for name in ignored]
     return RunSource(label, kind, meta, streams, warnings)
 
 
@@ -89,18 +96,21 @@ def stream_files(names: list[str], label: str) -> dict[str, str]:
     return tables
 
 
-def write_csv(run: Run, path: Path) -> None:
+def write_csv(run: Run, path: Path, simulated: Run | None = None) -> None:
     """Write a run folder of CSV files."""
-    write_folder(run, path, ".csv")
+    write_folder(run, path, ".csv", simulated)
 
 
-def write_parquet(run: Run, path: Path) -> None:
+def write_parquet(run: Run, path: Path, simulated: Run | None = None) -> None:
     """Write a run folder of parquet files."""
-    write_folder(run, path, ".parquet")
+    write_folder(run, path, ".parquet", simulated)
 
 
-def write_folder(run: Run, path: Path, suffix: str) -> None:
-    """Write `run.json` and a table per stream that has readings. The run is checked first, nothing is overwritten."""
+def write_folder(run: Run, path: Path, suffix: str, simulated: Run | None = None) -> None:
+    """Write `run.json` and a table per stream that has readings. The run is checked first, nothing is overwritten.
+
+    simulated: goes into `sim/` beside them.
+    """
     frames = {name: log_frame(name, log) for name, log in run.logs().items() if len(log)}
     path.mkdir(parents=True, exist_ok=True)
     if any(path.iterdir()):
@@ -108,6 +118,8 @@ def write_folder(run: Run, path: Path, suffix: str) -> None:
     write_run_json(run.meta, path / DESCRIPTION)
     for name, frame in frames.items():
         WRITERS[suffix](frame, path / f"{name}{suffix}")
+    if simulated is not None:
+        write_folder(simulated, path / SIMULATED, suffix)
 
 
 def log_frame(name: str, log: Log) -> pl.DataFrame:

@@ -1,4 +1,4 @@
-"""Run zip: the contents of a run folder in an archive, in its root or in one wrapping folder.
+"""Run zip: the contents of a run folder, `sim/` included, in an archive, in its root or in one wrapping folder.
 
 An archive is hostile until unpacked: names, kinds and the sizes that really come out are checked, never the sizes
 that its directory claims.
@@ -18,10 +18,11 @@ from pathlib import Path, PurePosixPath
 from core.errors import FormatError, TooLargeError
 from core.formats.base import KIB, Format, Limits, Opening, RunSource
 from core.formats.checks import refuse, shown
-from core.formats.run_folder import DESCRIPTION, TABLES, open_files, write_folder
+from core.formats.run_folder import DESCRIPTION, SIMULATED, TABLES, open_files, write_folder
 from core.run import Run
 
 CHUNK = 1 << 20
+INSIDE = f"{SIMULATED}/"
 METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 BROKEN = (zipfile.BadZipFile, zlib.error, EOFError, ValueError, NotImplementedError, UnicodeDecodeError, OverflowError)
 
@@ -32,7 +33,10 @@ def open_zip(path: Path, opening: Opening) -> RunSource:
     with ExitStack() as cleanup:
         folder = Path(cleanup.enter_context(tempfile.TemporaryDirectory(prefix="run-", dir=opening.tmp)))
         files, ignored = _unpack(path, folder, label, opening.limits)
-        source = open_files(files, opening, label, "zip")
+        source = open_files({n: f for n, f in files.items() if "/" not in n}, opening, label, "zip")
+        beside = {n.removeprefix(INSIDE): f for n, f in files.items() if n.startswith(INSIDE)}
+        if beside:
+            source.simulated = open_files(beside, opening, f"{label}/{SIMULATED}", "zip", INSIDE)
         source.found += [f"file {name!r} was ignored: not part of a run" for name in ignored]
         source.cleanup = cleanup.pop_all()
     return source
@@ -136,6 +140,9 @@ def _choose(members: dict[str, zipfile.ZipInfo], label: str) -> tuple[dict[str, 
     roots = [str(PurePosixPath(n).parent) for n in visible if PurePosixPath(n).name == DESCRIPTION]
     if not roots:
         refuse(label, f"there is no {DESCRIPTION} in it", expected=DESCRIPTION, found=sorted(visible)[:50])
+    shallow = min(roots, key=lambda root: len(PurePosixPath(root).parts))
+    beside = str(PurePosixPath(shallow) / SIMULATED)
+    roots = [root for root in roots if root != beside or root == shallow]
     if len(roots) > 1:
         refuse(
             label,
@@ -151,8 +158,12 @@ def _choose(members: dict[str, zipfile.ZipInfo], label: str) -> tuple[dict[str, 
             expected="the files in the root or in one folder",
             found=root,
         )
-    inside = {PurePosixPath(n).name: m for n, m in visible.items() if str(PurePosixPath(n).parent) == root}
-    wanted = {n: m for n, m in inside.items() if n == DESCRIPTION or PurePosixPath(n).suffix.lower() in TABLES}
+    folders = {root: "", beside: INSIDE} if f"{beside}/{DESCRIPTION}" in visible else {root: ""}
+    wanted = {}
+    for n, m in visible.items():
+        path = PurePosixPath(n)
+        if str(path.parent) in folders and (path.name == DESCRIPTION or path.suffix.lower() in TABLES):
+            wanted[folders[str(path.parent)] + path.name] = m
     kept = {m.orig_filename for m in wanted.values()}
     stray = [n for n in visible if n not in kept]
     for name in stray:
@@ -212,24 +223,24 @@ def _extract(archive: zipfile.ZipFile, member: zipfile.ZipInfo, path: Path, budg
         )
 
 
-def write_csv(run: Run, path: Path) -> None:
+def write_csv(run: Run, path: Path, simulated: Run | None = None) -> None:
     """Write a run archive of CSV files."""
-    _write(run, path, ".csv")
+    _write(run, path, ".csv", simulated)
 
 
-def write_parquet(run: Run, path: Path) -> None:
+def write_parquet(run: Run, path: Path, simulated: Run | None = None) -> None:
     """Write a run archive of parquet files."""
-    _write(run, path, ".parquet")
+    _write(run, path, ".parquet", simulated)
 
 
-def _write(run: Run, path: Path, suffix: str) -> None:
+def _write(run: Run, path: Path, suffix: str, simulated: Run | None) -> None:
     with tempfile.TemporaryDirectory(prefix="run-", dir=path.parent) as folder:
-        write_folder(run, Path(folder), suffix)
+        write_folder(run, Path(folder), suffix, simulated)
         with zipfile.ZipFile(path, "w") as archive:
-            for file in sorted(Path(folder).iterdir()):
+            for file in sorted(f for f in Path(folder).rglob("*") if f.is_file()):
                 # Parquet is packed already. A fixed date makes the same run the same archive.
                 method = zipfile.ZIP_STORED if file.suffix == ".parquet" else zipfile.ZIP_DEFLATED
-                info = zipfile.ZipInfo(file.name, (1980, 1, 1, 0, 0, 0))
+                info = zipfile.ZipInfo(file.relative_to(folder).as_posix(), (1980, 1, 1, 0, 0, 0))
                 info.compress_type, info.external_attr = method, 0o644 << 16
                 with file.open("rb") as source, archive.open(info, "w", force_zip64=True) as out:
                     while chunk := source.read(CHUNK):

@@ -28,6 +28,7 @@ import { colour, onThemeChange, withAlpha } from "./palette.js";
 import { createTimeCursor } from "./timecursor.js";
 
 const REFETCH_DELAY = 90; // ms of rest before the server is asked again
+const DESCRIBE_DELAY = 60; // ms until what is drawn is told in words
 const VALUE_AXIS = 58; // px, equal on all plots so that their time axes line up
 
 export function createChart(host, spec) {
@@ -44,6 +45,7 @@ export function createChart(host, spec) {
   let plot = null;
   let request = null;
   let timer = 0;
+  let describing = 0;
   let pending = 0; // the animation frame asked for
   let rangeMoved = false;
   let offScale = false; // a settled view leaves extremes out, and says so
@@ -92,10 +94,21 @@ export function createChart(host, spec) {
       coarse = fine = fineRange = null;
       fetchNow();
     },
+    // An answer that is at hand: drawn at once, on the range that it was made for.
+    give(answer, range = clock.range) {
+      request?.abort();
+      coarse = fine = answer;
+      fineRange = range;
+      frame.say("");
+      combine();
+      frame.root.dataset.state = "ready";
+      frame.root.dataset.range = `${range[0]},${range[1]}`;
+    },
     export: (kind) => tool(kind),
     destroy() {
       request?.abort();
       clearTimeout(timer);
+      clearTimeout(describing);
       cancelAnimationFrame(pending);
       for (const off of cleanups) off();
       plot?.destroy();
@@ -162,7 +175,8 @@ export function createChart(host, spec) {
     if (!frame.plot.clientWidth) return;
     const empty = { t: [], y: [] };
     const readings = spec.series.map((s) => current.readings.get(s.key) ?? empty);
-    const data = uPlot.join(readings.map(({ t, y }) => [t, y]), readings.map(() => [0, 1]));
+    const together = readings.every(({ t }) => t === readings[0].t); // one set of stamps: nothing to join
+    const data = together ? [readings[0].t, ...readings.map(({ y }) => y)] : uPlot.join(readings.map(({ t, y }) => [t, y]), readings.map(() => [0, 1]));
     if (plot) {
       plot.setData(data);
     } else {
@@ -171,13 +185,15 @@ export function createChart(host, spec) {
     }
     frame.root.dataset.points = String(chart.visibleSeries.reduce((n, s) => n + current.readings.get(s.key).shown, 0));
     drawCursors();
-    Promise.resolve().then(describe); // after uPlot has settled its scales, which it does in a microtask
+    clearTimeout(describing);
+    describing = setTimeout(describe, DESCRIBE_DELAY); // after uPlot has settled its scales, and not with every move
   }
 
   function options() {
     const font = `11px ${getComputedStyle(frame.root).fontFamily}`;
     const showTime = spec.showTime !== false;
-    const look = { clock: spec.clock, log, showTime, font, valueWidth: VALUE_AXIS };
+    const across = [spec.xLabel, spec.xUnit].filter(Boolean).join(", ");
+    const look = { clock: spec.clock, log, showTime, font, valueWidth: VALUE_AXIS, label: spec.clock ? "" : across };
     return {
       width: frame.plot.clientWidth,
       height: frame.plot.clientHeight,

@@ -33,20 +33,22 @@ export function createStreams(host, { clock, source, lines, onSight }) {
 
   return {
     visible: () => source.channels.filter((name) => seen.has(name)),
-    show({ streams, gap }) {
+    show({ streams }) {
       for (const column of streams) {
         const pair = pairs.get(column.column);
-        pair.column = column;
-        if (!pair.charts) pair.charts = made(pair, column);
-        else for (const chart of pair.charts) chart.refresh();
-        tellGap(pair, gap?.streams[column.column]);
+        pair.answers = answersOf(column);
+        pair.charts ??= made(pair, column);
+        pair.charts.forEach((chart, k) => chart.plot && chart.give(pair.answers[k]));
       }
+    },
+    showGap(gap) {
+      for (const [name, pair] of pairs) tellGap(pair, name, gap?.streams[name]);
     },
   };
 
-  function tellGap(pair, figures) {
-    const title = pair.root.children[1].querySelector(".chart-unit");
-    if (figures && title) title.textContent = `${humanOf(pair.column.unit).unit}, ${number(figures.before)} → ${number(figures.now)} × noise`;
+  function tellGap(pair, name, figures) {
+    const title = pair.charts && pair.root.children[1].querySelector(".chart-unit");
+    if (title) title.textContent = figures ? `${pair.unit}, ${number(figures.before)} → ${number(figures.now)} × noise` : pair.unit;
   }
 
   function made(pair, { column, unit, label }) {
@@ -54,19 +56,27 @@ export function createStreams(host, { clock, source, lines, onSight }) {
     const style = SPARSE.some((s) => column.startsWith(s)) ? "dots" : "line";
     const recorded = source.recorded;
     const line = (key, of, text = lines[key].label) => ({ key: of, label: text, color: lines[key].color, dash: style === "dots" ? [] : lines[key].dash, width: 1.5, style });
-    const readings = (recorded ? ["real", "nominal", "patched"] : ["nominal", "patched"]).map((key) => line(key, key));
+    const readings = ["real", "nominal", "patched", "recorded"].filter((key) => pair.answers[0].series[key]).map((key) => line(key, key));
     const rests = recorded ? [line("nominal", "residual_nominal"), line("patched", "residual_patched")] : [line("patched", "difference", "patched − nominal")];
-    const load = (keys) => async () => ({ series: Object.fromEntries(keys.map((key) => [key, series(pair.column, key, human.factor)])), bands: {}, gaps: [] });
+    const load = (k) => async () => pair.answers[k]; // a range that moves is asked for by the page, for all charts at once
     const id = column.replace(".", "-");
     const spec = { unit: human.unit, clock };
+    pair.unit = human.unit;
     return [
-      createChart(pair.root.children[0], { ...spec, id, title: column, help: label, series: readings, load: load(readings.map((r) => r.key)), fileName: `sandbox-${id}` }),
-      createChart(pair.root.children[1], { ...spec, id: `${id}-rest`, title: recorded ? "residual" : "difference", term: "sandbox_residual", series: rests, load: load(rests.map((r) => r.key)), fileName: `sandbox-${id}-residual` }),
+      createChart(pair.root.children[0], { ...spec, id, title: column, help: label, series: readings, load: load(0), fileName: `sandbox-${id}` }),
+      createChart(pair.root.children[1], { ...spec, id: `${id}-rest`, title: recorded ? "residual" : "difference", term: "sandbox_residual", series: rests, load: load(1), fileName: `sandbox-${id}-residual` }),
     ];
   }
 }
 
-function series(column, key, factor) {
-  const values = key === "difference" ? column.patched.map((v, i) => (v === null || column.nominal[i] === null ? null : v - column.nominal[i])) : column[key];
-  return { t: column.t, y: values.map((v) => (v === null ? null : v * factor)), total: column.total, shown: column.shown };
+/** A column's answers for its two charts: readings, and what is left of them; angles in degrees. */
+function answersOf(column) {
+  const { factor } = humanOf(column.unit);
+  const { t, total, shown } = column;
+  const scaled = (values) => (factor === 1 ? values : values.map((v) => (v === null ? null : v * factor)));
+  const of = (keys) => Object.fromEntries(keys.filter((key) => column[key]).map((key) => [key, { t, y: scaled(column[key]), total, shown }]));
+  const rests = column.real ? of(["residual_nominal", "residual_patched"]) : { difference: { t, y: scaled(difference(column)), total, shown } };
+  return [of(["real", "nominal", "patched", "recorded"]), rests].map((series) => ({ series, bands: {}, gaps: [] }));
 }
+
+const difference = ({ patched, nominal }) => patched.map((v, i) => (v === null || nominal[i] === null ? null : v - nominal[i]));

@@ -2,7 +2,7 @@
 // answer is under way only the newest move waits.
 
 import { $, debounce, h, pageData, save } from "../lib/dom.js";
-import { api, problemNote, query } from "../lib/api.js";
+import { api, packed, problemNote, query } from "../lib/api.js";
 import { closeOutside } from "../lib/chart-frame.js";
 import { number } from "../lib/format.js";
 import { keys } from "../lib/keys.js";
@@ -18,6 +18,7 @@ const LINES = {
   real: { label: "real", color: "--method-truth", dash: [], width: 1.75 },
   nominal: { label: "nominal", color: "--ink-3", dash: [6, 4], width: 1.5 },
   patched: { label: "patched", color: "--c2", dash: [], width: 2 },
+  recorded: { label: "recorded simulation", color: "--c4", dash: [2, 4], width: 1.75 },
 };
 const stretch = { start: given("start"), end: given("end") };
 let clock = null;
@@ -28,6 +29,9 @@ let map = null;
 let busy = false;
 let waiting = false;
 let told = null;
+let movedAt = null; // when the oldest move that is not yet on the screen was made
+let measuring = false;
+let stale = false; // the gap is of an older move
 
 function given(name) {
   return params.has(name) && params.get(name) !== "" ? Number(params.get(name)) : null;
@@ -44,24 +48,34 @@ function effectsOfLink() {
 
 /* one move */
 
-function wanted(effects) {
+/** What is asked for: `lines`, paths and the columns in sight; else the gap alone. */
+function wanted(effects, lines = true) {
   const view = clock && !clock.isFullRange ? { t0: clock.range[0], t1: clock.range[1] } : {};
   const simulator = page.simulators.length > 1 ? $("#simulator").value : null;
-  return { ...page.source, ...stretch, ...view, simulator, effects, seed: seed(), noise: $("#noise").checked, points: 500, path_points: 1200, streams: streams ? streams.visible() : [] };
+  const drawn = lines ? { ...view, points: 500, path_points: 1200, streams: streams ? streams.visible() : [] } : { streams: [] };
+  return { ...page.source, ...stretch, ...drawn, simulator, effects, seed: seed(), noise: $("#noise").checked, lines, gap: !lines };
 }
 
 const seed = () => Math.max(0, Math.floor(Number($("#seed").value) || 0));
 
+// Paths and streams first, as they are what the eye follows; the gap in a second question, while the next move may come.
 async function move() {
   waiting = true;
   if (busy) return;
   busy = true;
   while (waiting) {
     waiting = false;
-    const began = performance.now();
+    const began = { event: movedAt ?? performance.now(), asked: performance.now() };
+    movedAt = null;
     const note = setTimeout(() => ($("#told").textContent = "simulating … a simulator of your own takes its time"), 400);
     try {
-      show(await api("sandbox/simulate", { json: wanted(panel.values) }), began);
+      const answer = await packed("sandbox/simulate", wanted(panel.values));
+      began.answered = performance.now();
+      show(answer);
+      await painted();
+      tell(answer, began);
+      scene?.show(answer.paths);
+      measureGap();
       $("#problem").replaceChildren();
       panel.showProblem(null);
     } catch (error) {
@@ -74,23 +88,45 @@ async function move() {
   remember();
 }
 
+async function measureGap() {
+  stale = true;
+  if (measuring) return;
+  measuring = true;
+  while (stale) {
+    stale = false;
+    try {
+      paintGap(await packed("sandbox/simulate", wanted(panel.values, false)));
+    } catch {
+      // told with the lines, which were asked for with the same effects
+    }
+  }
+  measuring = false;
+}
+
+/** After the next frame is on the screen. */
+const painted = () => new Promise((done) => requestAnimationFrame(() => setTimeout(done, 0)));
+
 const moved = () => {
+  movedAt ??= window.event?.timeStamp ?? performance.now();
   if (page.simulators.length > 1 && $("#simulator").value !== page.simulators[0]) moveLater();
   else move();
 };
 const moveLater = debounce(400, () => move());
 
-function show(answer, began) {
+function show(answer) {
   const paths = answer.paths.map((p) => ({ ...p, ...LINES[p.method], label: p.method === "real" ? p.label.toLowerCase() : LINES[p.method].label }));
   map.setPaths(paths, answer.source.beacons);
   streams.show(answer);
-  scene?.show(answer.paths);
-  paintGap(answer);
   told = answer.source;
-  const { start, end, full } = told;
-  const part = end - start < full[1] - full[0] - 1e-6 ? `${number(start)} to ${number(end)} s of ${number(full[1] - full[0], 4)} s are simulated (start= and end= in the address choose others). ` : "";
-  const took = performance.now() - began;
-  $("#told").textContent = `${part}${Math.round(took)} ms for this move, ${number(answer.runtime_ms, 2)} ms of it simulation.`;
+}
+
+function tell(answer, { event, asked, answered }) {
+  const end = performance.now();
+  const detail = { runtime_ms: answer.runtime_ms, request_ms: answered - asked, drawing_ms: end - answered };
+  performance.measure("sandbox-move", { start: event, end, detail });
+  const { start, end: last, full } = told;
+  const part = last - start < full[1] - full[0] - 1e-6 ? `${number(start)} to ${number(last)} s of ${number(full[1] - full[0], 4)} s are simulated (start= and end= in the address choose others). ` : "";
+  $("#told").textContent = `${part}${Math.round(end - event)} ms from this move to its picture, ${number(answer.runtime_ms, 2)} ms of it simulation.`;
   document.documentElement.dataset.moves = String(Number(document.documentElement.dataset.moves ?? 0) + 1);
 }
 
@@ -99,6 +135,7 @@ function show(answer, began) {
 const words = (values) => Object.entries(values).map(([id, v]) => `${id.replaceAll("_", " ")} ${Object.values(v).map((x) => (typeof x === "number" ? number(x, 4) : x)).join(", ")}`);
 
 function paintGap({ gap, no_gap: why }) {
+  streams.showGap(gap);
   const names = words(panel.values);
   const box = $("#gap");
   box.hidden = false;
@@ -184,7 +221,7 @@ function startBar() {
     location.href = `/sandbox?${$("#source").value}&${query({ effects: effects === "{}" ? "" : effects })}`;
   });
   $("#simulator").hidden = page.simulators.length < 2;
-  $("#simulator").append(...page.simulators.map((s) => option(s, s, s === params.get("simulator"))));
+  $("#simulator").append(...page.simulators.map((s) => option(s, s === "sim" ? "sim: recorded beside it" : s, s === params.get("simulator"))));
   $("#noise").checked = params.get("noise") === "1";
   $("#seed").value = params.get("seed") ?? "0";
   for (const id of ["#noise", "#seed", "#simulator"]) $(id).addEventListener("change", () => moved());
@@ -239,7 +276,7 @@ function tellLines({ paths }) {
 
 /** What the run reaches: the middle of its paths, their size, its time. */
 function reachOf(answer) {
-  const of = (axis) => answer.paths.flatMap((p) => p[axis]).filter((v) => v !== null);
+  const of = (axis) => answer.paths.flatMap((p) => Array.from(p[axis])).filter((v) => v !== null);
   const [xs, ys] = [of("x"), of("y")];
   const ends = (list) => list.reduce(([a, b], v) => [Math.min(a, v), Math.max(b, v)], [Infinity, -Infinity]);
   const [[x0, x1], [y0, y1]] = [ends(xs), ends(ys)];
@@ -249,7 +286,7 @@ function reachOf(answer) {
 async function start() {
   startBar();
   try {
-    const [table, first] = await Promise.all([api("effects"), api("sandbox/simulate", { json: { ...wanted({}), simulator: null } })]);
+    const [table, first] = await Promise.all([api("effects"), packed("sandbox/simulate", { ...wanted({}), simulator: null })]);
     startClock(first.source);
     panel = createEffects($("#effects"), { effects: table.items, source: first.source, reach: reachOf(first), values: effectsOfLink(), onMove: moved });
     map = createMap($("#map"), { clock, subject: first.source.name, fileName: "sandbox" });

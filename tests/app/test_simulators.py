@@ -199,14 +199,14 @@ def test_wrong_settings_are_named(settings: Any, entries: object, named: str) ->
         registered(settings(entries))
 
 
-def test_a_simulator_is_chosen_by_name(settings: Any, run: Run, tmp_path: Path) -> None:
+def test_a_simulator_is_chosen_by_name(settings: Any, run: Run) -> None:
     path = settings({"mine": {"url": "http://127.0.0.1:1/"}})
     assert chosen(None, path) is None and chosen("nominal", path) is None
     assert chosen("mine", path).name == "mine"  # type: ignore[union-attr]
     with pytest.raises(ParameterError, match="nominal, sim, mine"):
         chosen("yours", path)
-    with pytest.raises(FormatError, match="sim/"):
-        chosen("sim", path, tmp_path)
+    with pytest.raises(FormatError, match="there is no folder sim/"):
+        chosen("sim", path)
 
 
 def test_the_command_line_uses_a_recorded_simulation(run: Run, tmp_path: Path, capsys: Any) -> None:
