@@ -16,7 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from core.errors import ParameterError
+from core.gap.explain import Progress, silent
 from core.gap.floor import FALLBACK, stated
+from core.gap.pace import Pace
 from core.gap.reference import WINDOW, restarts_of
 from core.gap.searched import searched
 from core.robot import EffectSet, Noise
@@ -28,6 +30,8 @@ from core.simulation.inputs import beacon_table
 
 Array = npt.NDArray[np.float64]
 
+SHARE = 0.1
+"""Of the progress: all before the search."""
 STEP = 0.05
 """Spacing of the path that is asked for where the run has no truth [s]."""
 REFERENCE = 0.5
@@ -35,7 +39,9 @@ REFERENCE = 0.5
 MIDDLE, THIRD = 0.67449, np.sqrt(20.0)
 
 
-def against(runs: Sequence[Run], simulators: Foreign | Sequence[Foreign], seed: int) -> tuple[list[Run], EffectSet]:
+def against(
+    runs: Sequence[Run], simulators: Foreign | Sequence[Foreign], seed: int, progress: Progress = silent
+) -> tuple[list[Run], EffectSet]:
     """Every run as seen from its simulator (one for all, or one each: recordings), and what that models beyond ours.
 
     Raises ParameterError where they are not one each, or a run has no commands to drive one by, and what the
@@ -50,7 +56,8 @@ def against(runs: Sequence[Run], simulators: Foreign | Sequence[Foreign], seed: 
             found=len(each),
         )
     made = [_made(run, one, seed + k) for k, (run, one) in enumerate(zip(runs, each, strict=True))]
-    known = searched([_noisy(run, seed + k) for k, run in enumerate(made)], {}, WINDOW).found.model
+    inner = Pace(lambda share, message: progress(SHARE * share, f"the simulator itself: {message}"))
+    known = searched([_noisy(run, seed + k) for k, run in enumerate(made)], {}, WINDOW, inner).found.model
     return [_seen_from(run, one, known) for run, one in zip(runs, made, strict=True)], known
 
 

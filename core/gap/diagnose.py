@@ -17,6 +17,7 @@ from core.gap.beside import against
 from core.gap.checks import check_runs, check_tolerances, simulator_of
 from core.gap.conclude import conclude
 from core.gap.explain import Progress, silent
+from core.gap.pace import Pace
 from core.gap.reference import restarts_of
 from core.gap.rolling import rolling
 from core.gap.searched import searched
@@ -45,13 +46,15 @@ def diagnose(
     config = config or Config()
     check_tolerances(config.tolerances)
     check_runs(runs, held_out)
+    progress = Pace(progress)
     progress(0.0, "aligning")
     every, told = aligned([*runs, *held_out])
-    runs, held_out, known = _seen(every[: len(runs)], every[len(runs) :], simulator, config.seed)
+    runs, held_out, known = _seen(every[: len(runs)], every[len(runs) :], simulator, config.seed, progress)
     one = searched(runs, known, config.window, progress)
-    progress(0.7, "scoring")
+    progress(0.7, "scoring on what took no part")
     kept = tuple(rolling(make_world(run, restarts_of(run, config.window, one.found.model))) for run in held_out)
-    part = None if kept else on_a_part(runs, one.found, one.tried, known, config)
+    part = None if kept else on_a_part(runs, one.found, one.tried, known, config, progress)
+    progress(0.9, "telling")
     out = conclude(one.found, one.worlds, kept, one.reach, known, config, part)
     return dataclasses.replace(out, notes=(*told, *out.notes), runtime_s=time.perf_counter() - began)
 
@@ -61,12 +64,13 @@ def _seen(
     held_out: Sequence[Run],
     simulator: EffectSet | Foreign | Sequence[Foreign] | None,
     seed: int,
+    progress: Progress = silent,
 ) -> tuple[list[Run], list[Run], EffectSet]:
     """The runs as their simulator's own figures of them are, or as seen from the user's; what it models already."""
     if simulator is None or isinstance(simulator, Mapping):
         known = simulator_of(runs, simulator)
         return [_with_known(run, known) for run in runs], [_with_known(run, known) for run in held_out], known
-    every, known = against([*runs, *held_out], simulator, seed)
+    every, known = against([*runs, *held_out], simulator, seed, progress)
     return every[: len(runs)], every[len(runs) :], known
 
 

@@ -12,6 +12,7 @@ from core.gap.candidates import Candidate, Reach, candidates
 from core.gap.explain import Progress, Search, explain, silent
 from core.gap.floor import Floor
 from core.gap.linear import Problem, with_floor
+from core.gap.pace import watched
 from core.gap.reference import restarts_of
 from core.gap.rolling import rolling
 from core.gap.thinned import thinned
@@ -39,7 +40,7 @@ class Searched:
 
 def searched(runs: Sequence[Run], known: EffectSet, window: float, progress: Progress = silent) -> Searched:
     """Every effect that these runs show beside what the simulator already models."""
-    worlds, fewer = _worlds(runs, window, {})
+    worlds, fewer = _worlds(runs, window, {}, progress)
     problem = with_floor(Problem(fewer, Floor({}, {}, {}), known), {})
     reach = reach_of(worlds)
     tried = candidates(worlds[0].channels, list(runs[0].meta.beacons), reach, known, _warm(runs))
@@ -50,21 +51,25 @@ def searched(runs: Sequence[Run], known: EffectSet, window: float, progress: Pro
             break
         progress(0.6, "again from the path set right")
         before = found.body.fit.cost
-        worlds, fewer = _worlds(runs, window, found.model)
+        worlds, fewer = _worlds(runs, window, found.model, progress)
         found = explain(with_floor(Problem(fewer, Floor({}, {}, {}), known), {}), tried, whole=worlds)
         if found.body.fit.cost > before - BETTER:
             break
     return Searched(found, worlds, tuple(tried), reach)
 
 
-def _worlds(runs: Sequence[Run], window: float, model: EffectSet) -> tuple[tuple[World, ...], tuple[World, ...]]:
+def _worlds(
+    runs: Sequence[Run], window: float, model: EffectSet, progress: Progress
+) -> tuple[tuple[World, ...], tuple[World, ...]]:
     """Every run with all its readings, and as the search sees it."""
     restarts = [restarts_of(run, window, model) for run in runs]
-    worlds = tuple(rolling(make_world(run, at)) for run, at in zip(runs, restarts, strict=True))
+    worlds = tuple(watched(rolling(make_world(run, at)), progress) for run, at in zip(runs, restarts, strict=True))
     fewer = thinned(runs)
     if all(a is b for a, b in zip(runs, fewer, strict=True)):
         return worlds, worlds
-    return worlds, tuple(rolling(make_world(run, at)) for run, at in zip(fewer, restarts, strict=True))
+    return worlds, tuple(
+        watched(rolling(make_world(run, at)), progress) for run, at in zip(fewer, restarts, strict=True)
+    )
 
 
 def _warm(runs: Sequence[Run]) -> bool:

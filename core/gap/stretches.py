@@ -15,9 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from core.gap.candidates import Candidate
-from core.gap.explain import Search, explain
+from core.gap.explain import Progress, Search, explain, silent
 from core.gap.floor import Floor
 from core.gap.linear import Problem, with_floor
+from core.gap.pace import watched
 from core.gap.reference import restarts_of
 from core.gap.rolling import rolling
 from core.gap.thinned import thinned
@@ -77,14 +78,20 @@ def _rows(log: Any, keep: npt.NDArray[np.bool_]) -> Any:
 
 
 def on_a_part(
-    runs: Sequence[Run], found: Search, tried: Sequence[Candidate], known: EffectSet, config: Config
+    runs: Sequence[Run],
+    found: Search,
+    tried: Sequence[Candidate],
+    known: EffectSet,
+    config: Config,
+    progress: Progress = silent,
 ) -> Part | None:
     """The search again without the stretches. None where the runs are too short to give any up."""
     spans = tuple(spans_of(run) for run in runs)
     if not any(spans):
         return None
     fewer = [without(run, cut) for run, cut in zip(thinned(runs), spans, strict=True)]
-    worlds = tuple(rolling(make_world(run, restarts_of(run, config.window, found.model))) for run in fewer)
+    made = (rolling(make_world(run, restarts_of(run, config.window, found.model))) for run in fewer)
+    worlds = tuple(watched(world, progress) for world in made)
     problem = with_floor(Problem(worlds, Floor({}, {}, {}), known), {})
     asked = in_question(found)
     again = explain(problem, [one for one in tried if one.effect in asked], start=found.model)
