@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 
 from numba import njit
 
+STATE = 8  # begun, mean differences of speed and turn rate, replaced, for how long, calm since, the IMU's speed (2)
+
 
 class Limits(NamedTuple):
     """What the walk goes by; see `decisions.Decisions`."""
@@ -23,16 +25,19 @@ class Limits(NamedTuple):
 @njit(cache=True, nogil=True)  # type: ignore[misc, unused-ignore]
 def substitute(
     dt: Any, rest: Any, speed: Any, rate: Any, gyro: Any, forward: Any, left: Any, change: Any, limits: Any,
-    imu: Any, by_imu: Any, age: Any, limit: Any,
+    state: Any, imu: Any, by_imu: Any, age: Any, limit: Any,
 ) -> None:  # fmt: skip
     """Fill per step (N,): by_imu, imu speed [m/s] there, age [s] since the encoders were replaced; limit (N, 2).
 
     change (N,): the encoders' change of speed over the window, less the accelerometers'. limit: the differences of
-    speed and turn rate that were too large at that stamp.
+    speed and turn rate that were too large at that stamp. state (STATE,): where it begins, zeros at first, and where it
+    was left.
     """
     mean_v, mean_w = limits.floor_speed / limits.factor, limits.floor_turn / limits.factor
-    replaced, elapsed, calm = False, 0.0, 0.0
-    vx, vy = 0.0, 0.0
+    if state[0] != 0.0:
+        mean_v, mean_w = state[1], state[2]
+    replaced, elapsed, calm = state[3] != 0.0, state[4], state[5]
+    vx, vy = state[6], state[7]
     for k in range(dt.shape[0]):
         limit_v = max(limits.floor_speed, limits.factor * mean_v)
         limit_w = max(limits.floor_turn, limits.factor * mean_w)
@@ -62,3 +67,5 @@ def substitute(
             # A single slip must not teach the mean: no difference counts for more than the limit.
             mean_v += (min(dv, limit_v) - mean_v) * share
             mean_w += (min(dw, limit_w) - mean_w) * share
+    state[0], state[1], state[2], state[3] = 1.0, mean_v, mean_w, 1.0 if replaced else 0.0
+    state[4], state[5], state[6], state[7] = elapsed, calm, vx, vy

@@ -34,13 +34,25 @@ class Steps:
 
 def choose(s: Signals, numbers: Assumptions, choice: Decisions) -> tuple[Steps, tuple[Event, ...]]:
     """The steps, and one event per stretch in which the IMU stands in for the encoders."""
-    from core.estimation.published._substitute_numba import Limits, substitute
+    from core.estimation.published._substitute_numba import STATE
 
     n = len(s.t)
     back = max(1, round(choice.window / max(float(np.median(s.dt[1:])), 1e-6))) if n > 1 else 1
     gained = np.cumsum(s.forward * s.dt)
     before = np.maximum(np.arange(n) - back, 0)
     change = (s.speed - s.speed[before]) - (gained - gained[before])
+    steps, speed, limit = substituted(s, change, numbers, choice, np.zeros(STATE))
+    return steps, tuple(_event(s, speed, change, limit, a, b) for a, b in stretches(s.t, steps.by_imu, APART, SHORTEST))
+
+
+def substituted(
+    s: Signals, change: Array, numbers: Assumptions, choice: Decisions, state: Array
+) -> tuple[Steps, Array, Array]:
+    """The steps, the IMU's speed (N,) and the limits (N, 2), given by how much more the speed has changed (N,) by the
+    encoders than by the accelerometers; on from `state` and into it."""
+    from core.estimation.published._substitute_numba import Limits, substitute
+
+    n = len(s.t)
     speed, age, limit, by_imu = np.zeros(n), np.zeros(n), np.zeros((n, 2)), np.zeros(n, np.bool_)
     limits = Limits(
         choice.mean_factor, choice.mean_time, choice.floor_speed, choice.floor_turn, choice.window,
@@ -48,7 +60,7 @@ def choose(s: Signals, numbers: Assumptions, choice: Decisions) -> tuple[Steps, 
     )  # fmt: skip
     limits = Limits(*(float(v) for v in limits))  # one type, so that it is compiled once
     substitute(
-        s.dt, s.rest, s.speed, s.rate, s.gyro, s.forward, s.left, change, limits, speed, by_imu, age, limit
+        s.dt, s.rest, s.speed, s.rate, s.gyro, s.forward, s.left, change, limits, state, speed, by_imu, age, limit
     )  # fmt: skip
     rolled = np.abs(s.distance)
     var_rolled = (numbers.slip**2 / 2 + numbers.distance_scale_sd**2) * rolled
@@ -61,7 +73,7 @@ def choose(s: Signals, numbers: Assumptions, choice: Decisions) -> tuple[Steps, 
         var_turn=s.turn_variance + numbers.gyro_scale_sd**2 * math.pi / 2 * np.abs(s.turn),
         by_imu=by_imu,
     )
-    return steps, tuple(_event(s, speed, change, limit, a, b) for a, b in stretches(s.t, by_imu, APART, SHORTEST))
+    return steps, speed, limit
 
 
 def stretches(t: Array, flags: Flags, apart: float, shortest: float) -> list[tuple[int, int]]:
