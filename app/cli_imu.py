@@ -124,7 +124,7 @@ def _allan(options: argparse.Namespace) -> int:
     if options.json != "-":
         sys.stdout.write(_table(curve))
     if options.json:
-        write_json(options.json, allan_json(f"imu.{axis}", curve, fit))
+        write_json(options.json, allan_json(f"imu.{axis}", curve, fit, notes))
     return OK
 
 
@@ -142,8 +142,9 @@ def _about(axis: str, values: Any) -> tuple[str, ...]:
     return saturated(values, axis) + (moved if times > RESTLESS else ())
 
 
-def allan_json(axis: str, curve: AllanCurve, fit: NoiseFit | None) -> dict[str, Any]:
-    """The result in schema allan/1: SI of the axis' unit; None where the record does not show a figure."""
+def allan_json(axis: str, curve: AllanCurve, fit: NoiseFit | None, notes: tuple[str, ...]) -> dict[str, Any]:
+    """The result in schema allan/1: SI of the axis' unit; None where the record does not show a figure. `chi2`, `dof`:
+    of the fit; `notes`: what speaks against the figures."""
     out: dict[str, Any] = {
         "schema": "allan/1",
         "axis": axis,
@@ -157,7 +158,8 @@ def allan_json(axis: str, curve: AllanCurve, fit: NoiseFit | None) -> dict[str, 
         term: Term | None = None if fit is None else getattr(fit, name)
         out[name] = _finite(None if term is None else term.value)
         out[f"{name}_sd"] = _finite(None if term is None else term.sd)
-    return out
+    out |= {"chi2": None if fit is None else _finite(fit.chi2), "dof": None if fit is None else fit.dof}
+    return {**out, "notes": list(notes)}
 
 
 def _finite(value: float | None) -> float | None:

@@ -6,8 +6,8 @@ import contextlib
 import hashlib
 import json
 import shutil
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -19,7 +19,10 @@ from app.errors import DiskFullError, NotFoundError
 from app.store import arrays, beside
 from core.errors import NeedsMappingError
 from core.formats import UNITS, Limits, RunSource, StreamSource, meta_to_json, open_run, sniff, suggest_mapping
+from core.formats.base import Batch
+from core.imu.stamps import onward, told
 from core.robot import RobotParams
+from core.sensors import STREAMS
 from core.timing import gaps, rate
 
 Progress = Callable[[float, str], None]
@@ -40,6 +43,7 @@ class IngestOptions:
     robot: str | None = None
     tags: tuple[str, ...] = ()
     mapping: Mapping[str, Any] | None = None
+    in_order: bool = False  # rows whose stamps go back are left out, and told, where the file would be refused
     max_unpacked_bytes: int | None = None
 
     @classmethod
@@ -60,21 +64,25 @@ def ingest_file(
     if not path.exists():
         raise NotFoundError(f"the bytes of {options.file_name} are gone: upload it again", what="upload")
     check_room(data, _size(path))
-    limits = Limits(max_unpacked_bytes=options.max_unpacked_bytes) if options.max_unpacked_bytes else Limits()
+    limits = Limits(unordered=frozenset(STREAMS) if options.in_order else frozenset())
+    if options.max_unpacked_bytes:
+        limits = replace(limits, max_unpacked_bytes=options.max_unpacked_bytes)
     with contextlib.ExitStack() as stack:
         source = stack.enter_context(
             open_run(path, limits=limits, mapping=options.mapping, tmp=_unpacking(data), name=options.file_name)
         )
         streams = list(source.streams())
         written = []
+        left_out: list[str] = []
         for i, stream in enumerate(streams):
             step = _part_of(progress, i, len(streams))
-            written.append(_write(data, stream, stack, step))
+            written.append(_write(data, stream, stack, step, left_out))
         aside = beside.write(data, source, stack)
         described = [_describe(data, stream, writers) for stream, writers in zip(streams, written, strict=True)]
         simulated = beside.describe(source, aside)
     progress(1.0, "stored")
-    return _manifest(data, source, described, options, path, simulated)
+    manifest = _manifest(data, source, described, options, path, simulated)
+    return {**manifest, "warnings": [*left_out, *manifest["warnings"]]}
 
 
 def look_inside(path: Path, file_name: str) -> dict[str, Any]:
@@ -142,11 +150,11 @@ def _part_of(progress: Progress, i: int, n: int) -> Progress:
 
 
 def _write(
-    data: Path, stream: StreamSource, stack: contextlib.ExitStack, progress: Progress
+    data: Path, stream: StreamSource, stack: contextlib.ExitStack, progress: Progress, left_out: list[str]
 ) -> dict[str, arrays.Writer]:
     writers = {name: stack.enter_context(arrays.Writer(data)) for name in stream.columns}
     rows = 0
-    for batch in stream.batches():
+    for batch in _in_order(stream, left_out) if stream.name in stream.limits.unordered else stream.batches():
         for name, column in batch.items():
             writers[name].append(column)
         rows += len(batch["t"])
@@ -155,6 +163,19 @@ def _write(
     for writer in writers.values():
         writer.sync()
     return writers
+
+
+def _in_order(stream: StreamSource, left_out: list[str]) -> Iterator[Batch]:
+    """The stream's batches without the rows whose stamps do not go on; a note on them goes into `left_out`."""
+    t = np.concatenate([np.asarray(batch["t"], np.float64) for batch in stream.batches()])
+    kept = onward(t)
+    left_out += [f"{stream.table.file}, stream {stream.name}: {note}" for note in told(t, kept)]
+    row = 0
+    for batch in stream.batches():
+        wanted = kept[row : row + len(batch["t"])]
+        row += len(wanted)
+        if wanted.any():
+            yield batch if wanted.all() else {name: column[wanted] for name, column in batch.items()}
 
 
 def _describe(data: Path, stream: StreamSource, writers: Mapping[str, arrays.Writer]) -> dict[str, Any]:

@@ -29,6 +29,12 @@ class FormatError(DriftscopeError):
     code = "format"
 
 
+class StampOrderError(FormatError):
+    """Stamps of a stream repeat or go back; the rest could be read in order. `where`: file, stream, row, ..."""
+
+    code = "stamp_order"
+
+
 class TooLargeError(FormatError):
     """A file, or what it unpacks to, is over a stated limit."""
 

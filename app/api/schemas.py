@@ -278,6 +278,7 @@ class UploadFinish(BaseModel):
 
     model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [{"mapping": MAPPING}]})
     mapping: dict[str, Any] | None = None
+    in_order: bool = Field(default=False, description="leave out rows whose stamps go back; the run's warnings say so")
 
 
 class TableColumn(Wire):

@@ -29,6 +29,7 @@ router = APIRouter(tags=["uploads"])
 
 HOP = 1 << 20  # bytes gathered before they go to the disk in a thread
 CHECKPOINT = 32 << 20  # bytes after which they are acknowledged, so that a crash loses at most these
+MENDABLE = ("needs_mapping", "stamp_order")  # refusals after which `finish` can be told how to read the file
 RAW_BODY = {
     "requestBody": {
         "required": True,
@@ -65,8 +66,8 @@ async def upload_run(
 ) -> Response:
     """The body is the file: a `.zip` of a run folder, a `.csv` or `.parquet`. Waits until it is stored.
 
-    Refused files (422) leave nothing behind, but for those whose columns need a mapping (`needs_mapping`): `where`
-    then holds the upload's id, to go on with at `/uploads/{id}/finish`.
+    Refused files (422) leave nothing behind, but for those whose columns need a mapping (`needs_mapping`) or whose
+    stamps go back (`stamp_order`): `where` then holds the upload's id, to go on with at `/uploads/{id}/finish`.
     """
     options = {"name": name, "robot": robot, "tags": [t for t in tags.split(",") if t.strip()]}
     declared = request.headers.get("content-length", "")
@@ -147,11 +148,13 @@ async def finish_upload(
 ) -> schemas.Job:
     """Check size and checksum, then read the file in a job; its `result.run_id` is the run.
 
-    After a refusal that a mapping can mend, finish again with the mapping.
+    After a refusal that a mapping can mend (`needs_mapping`), finish again with the mapping; after one for stamps
+    that go back (`stamp_order`), with `in_order` to leave those rows out.
     """
     if finish.mapping is not None:
         ColumnMap.from_json(finish.mapping)
-    job = await _submit(engine, settings, jobs, upload_id, finish.mapping)
+    how = finish.model_dump(exclude_unset=True, exclude_none=True)
+    job = await _submit(engine, settings, jobs, upload_id, how)
     _settle_later(request, upload_id, job["id"])
     return schemas.Job(**_job(job))
 
@@ -196,13 +199,13 @@ async def _receive(request: Request, appender: store.Appender, checkpoint: int |
 
 
 async def _submit(
-    engine: EngineDep, settings: Settings, jobs: JobEngine, upload_id: str, mapping: dict[str, Any] | None = None
+    engine: EngineDep, settings: Settings, jobs: JobEngine, upload_id: str, how: dict[str, Any] | None = None
 ) -> dict[str, Any]:
     """Give a complete upload to a job."""
 
     def submit() -> dict[str, Any]:
         store.complete(engine, settings, upload_id)
-        return jobs.get(store.hand_over(engine, upload_id, mapping, start))
+        return jobs.get(store.hand_over(engine, upload_id, how or {}, start))
 
     def start(row: Upload) -> str:
         options = store.ingest_options(settings, row)
@@ -226,10 +229,11 @@ def _settle_later(request: Request, upload_id: str, job_id: str) -> None:
 
 
 def _settle(engine: EngineDep, settings: Settings, upload_id: str, job: dict[str, Any]) -> None:
-    """Keep the bytes only where trying again can help: the mapping was missing or wrong, or the fault was ours."""
+    """Keep the bytes only where trying again can help: the mapping was missing or wrong, rows out of order can be left
+    out, or the fault was ours."""
     problem = job["error"] or {}
     lost = job["state"] == "failed" and problem.get("status") in (413, 422)
-    mendable = problem.get("code") in ("needs_mapping", "parameter") or (job["state"] == "failed" and not lost)
+    mendable = problem.get("code") in (*MENDABLE, "parameter") or (job["state"] == "failed" and not lost)
     if not mendable:
         store.discard(engine, settings, upload_id)
 
@@ -237,7 +241,7 @@ def _settle(engine: EngineDep, settings: Settings, upload_id: str, job: dict[str
 def _refusal(request: Request, upload_id: str, job: dict[str, Any]) -> Response:
     problem = job["error"] or errors.problem(409, job["message"] or "the job was cancelled", code="cancelled")
     where = dict(problem["where"])
-    if problem["code"] == "needs_mapping":
+    if problem["code"] in MENDABLE:
         where["upload"] = upload_id
     return errors.response(request, {**problem, "where": where, "instance": request.url.path})
 

@@ -187,6 +187,7 @@ def ingest_options(settings: Settings, row: Upload) -> dict[str, Any]:
     known = {k: row.options.get(k) for k in ("name", "robot", "mapping")}
     options = {
         **known,
+        "in_order": bool(row.options.get("in_order")),
         "file_name": row.file_name,
         "tags": list(row.options.get("tags") or ()),
         "max_unpacked_bytes": settings.max_unpacked_bytes,
@@ -195,17 +196,15 @@ def ingest_options(settings: Settings, row: Upload) -> dict[str, Any]:
     return options
 
 
-def hand_over(
-    engine: Engine, upload_id: str, mapping: Mapping[str, Any] | None, submit: Callable[[Upload], str]
-) -> str:
-    """Give the upload to the job that `submit` starts, with this mapping if it isn't None; the job's id.
+def hand_over(engine: Engine, upload_id: str, how: Mapping[str, Any], submit: Callable[[Upload], str]) -> str:
+    """Give the upload to the job that `submit` starts, to be read in this way (`mapping`, `in_order`); the job's id.
 
     ConflictError if another job has it.
     """
     row = get(engine, upload_id)
     check_free(engine, upload_id)
-    if mapping is not None:
-        row.options = {**row.options, "mapping": dict(mapping)}
+    if how:
+        row.options = {**row.options, **how}
     job_id = submit(row)
     with writing(engine) as session:
         kept = _row(session, upload_id)

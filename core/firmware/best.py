@@ -11,7 +11,6 @@ from core.imu.bias import BiasNoise, FilterConfig
 from core.imu.bias import _learn_numba as kernel
 from core.imu.bias.blocks import FEWEST, PAUSE, WARMTH
 from core.imu.bias.drift import SLOPE_SD
-from core.imu.bias.filtered import FAST
 from core.imu.bias.result import RATE
 
 RECENT = 10  # readings that the rate beside a gap is told from
@@ -75,7 +74,8 @@ def _filter(length: float, given: BiasNoise | None, config: FilterConfig) -> lis
         Constant("DS_MARKOV_KEEP", number(keep), "", "exp(-block / that)"),
         Constant("DS_TAIL_TAU", number(config.tail_tau), "s", "correlation time of what is left of a movement"),
         Constant("DS_TAIL_KEEP", number(tail), "", "exp(-block / that)"),
-        Constant("DS_FAST", number(FAST), "", "of the Gauss-Markov deviation, too fast for means at rest to show"),
+        Constant("DS_FAST", number(kernel.FAST), "", "of the Gauss-Markov deviation, too fast for rests to show"),
+        Constant("DS_SHOWN", number(kernel.SHOWN), "s", "of a mean whose white noise flicker exceeds: rests show more"),
         Constant("DS_NOISE_GIVEN", "1" if given else "0", "", "1: the drift is given; 0: it is learnt"),
         Constant("DS_GIVEN_WHITE", number(noise.N**2), "rad^2/s", f"N^2; {origin}"),
         Constant("DS_GIVEN_WALK", number(noise.K**2), "rad^2/s^3", f"K^2; {origin}"),
@@ -88,7 +88,7 @@ def _learning(length: float, config: FilterConfig) -> list[Constant]:
     first = config.tail**2 * np.exp(-(edges[1:] + edges[:-1]) * length / 5)
     usual = 0.5 * np.exp(-(edges[1:] + edges[:-1]) / 8 * length)
     walk, swing = np.array(kernel.BANK_K) ** 2, np.array(kernel.BANK_SD) ** 2
-    weight = np.outer(kernel.BANK_PRIOR, kernel.BANK_PRIOR).ravel()
+    weight = np.outer(kernel.BANK_K_PRIOR, kernel.BANK_SD_PRIOR).ravel()
     size = len(weight)
     joined = "{" + ", ".join(f"{n}U" for n in edges) + "}"
     return [
@@ -97,7 +97,6 @@ def _learning(length: float, config: FilterConfig) -> list[Constant]:
         Constant("DS_BIN_FIRST", _list(first), "1/s", "variance of the tail over N^2, before it is learnt"),
         Constant("DS_BIN_USUAL", _list(usual), "1/s", "variance of its mean's prior, 0, over N^2"),
         Constant("DS_TABLE", f"{kernel.TABLE}U", "blocks", "of the tail"),
-        Constant("DS_TAIL_PRIOR", number(kernel.TAIL_PRIOR), "rests", "that the prior of the tail counts for"),
         Constant("DS_DOUBT", number(kernel.DOUBT), "", "times its variance that the tail's mean must exceed, squared"),
         Constant("DS_GROUP", f"{kernel.GROUP}U", "blocks", "of a mean that the drift is learnt from"),
         Constant("DS_BANK", f"{size}U", "", "candidates of the drift"),

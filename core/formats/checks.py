@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import polars as pl
 
-from core.errors import FormatError, TooLargeError
+from core.errors import FormatError, StampOrderError, TooLargeError
 
 if TYPE_CHECKING:
     from core.formats.base import Batch, StreamSource
@@ -150,6 +150,7 @@ class BatchCheck:
         refuse(
             self.table.file,
             f"stamps must increase strictly; {now!r} {relation} {before!r} of the row above",
+            kind=StampOrderError,
             stream=self.spec.name,
             row=self.row_of(frame, index),
             column=self.source.sources["t"],

@@ -28,6 +28,7 @@ Floats = npt.NDArray[np.float64]
 FLICKER = 2 * np.log(2) / np.pi  # avar of B: the floor is 0.664 B
 COST_OF_TERM = 6.25  # chi-square that a term must save: 2.5 deviations
 COST_OF_MARKOV = 14.0  # that a Gauss-Markov process must save, against the best model without one
+POOR = 3.0  # chi-square by its degrees of freedom beyond which the model does not describe the curve
 ORDER = ("Q", "N", "B", "K", "s")
 
 
@@ -223,14 +224,17 @@ def _correlation(data: _Data, model: _Model) -> Floats:
 
 
 def _describe(curve: AllanCurve, data: _Data, best: _Model) -> NoiseFit:
-    sd = np.sqrt(np.maximum(np.diag(best.covariance), 0.0))
+    dof = len(data.tau) - len(best.terms) - (best.markov_tau > 0)
+    poor = best.chi2 > POOR * dof > 0
+    wider = np.sqrt(best.chi2 / dof) if poor else 1.0
+    sd = wider * np.sqrt(np.maximum(np.diag(best.covariance), 0.0))
     shown = {ORDER[j]: Term(float(best.p[j]), float(best.p[j] * sd[i])) for i, j in enumerate(best.terms)}
     markov_tau = Term(best.markov_tau, best.markov_tau * float(sd[-1])) if best.markov_tau else Term()
-    notes = tuple(f"{name} is not identifiable from this record" for name in ("N", "B", "K") if name not in shown)
+    notes = (_doubt(best.chi2, dof, float(wider)),) if poor else ()
+    notes += tuple(f"{name} is not identifiable from this record" for name in ("N", "B", "K") if name not in shown)
     if not best.markov_tau:
         notes += ("a Gauss-Markov process is not identifiable from this record",)
     model = np.sqrt(_basis(curve.tau, best.markov_tau) @ best.p**2)
-    dof = len(data.tau) - len(best.terms) - (best.markov_tau > 0)
     absent = Term()
     return NoiseFit(
         Q=shown.get("Q", absent),
@@ -243,4 +247,12 @@ def _describe(curve: AllanCurve, data: _Data, best: _Model) -> NoiseFit:
         chi2=best.chi2,
         dof=dof,
         notes=notes,
+    )
+
+
+def _doubt(chi2: float, dof: int, wider: float) -> str:
+    return (
+        f"The fitted noise does not describe this curve (chi-square {chi2:.3g} over {dof} degrees of freedom): it has "
+        "bumps that no sum of these noises makes, as vibration, coarse steps or a changing mean do. Take N, B and K "
+        f"with care; their deviations are widened {wider:.2g} times for it."
     )

@@ -19,7 +19,7 @@ from core.estimation.result import Curve
 from core.imu.bias import FilterConfig
 from core.imu.bias import _learn_numba as kernel
 from core.imu.bias.blocks import WARMTH, Blocks, cut
-from core.imu.bias.filtered import FAST, settings
+from core.imu.bias.filtered import settings
 from core.imu.bias.result import RATE
 from core.live.recent import joined
 from core.run import Run
@@ -80,7 +80,7 @@ class SteadyBias:
         gz = np.ascontiguousarray(imu.gz, np.float64)
         live, _, _ = run_blocks(self._state, self._constants, gz, start, given)
         self._done += count
-        spread = np.sqrt(np.maximum(live[:, 3], 0.0) + FAST**2 * live[:, 6])
+        spread = np.sqrt(np.maximum(live[:, 3], 0.0) + live[:, 6])
         ends = self._origin + np.arange(self._done - count + 1, self._done + 1) * self._cells / RATE
         return Curve(ends, live[:, 2], spread)
 

@@ -70,13 +70,14 @@ export function count(n) {
 }
 
 // uPlot axis options shared by plots. `ink`, `grid` are functions that give colours; `font` a canvas font.
-export function axes({ clock, log, ink, grid, font, showTime, valueWidth }) {
+export function axes({ clock, log, ink, grid, font, showTime, valueWidth, label }) {
   const base = { stroke: ink, font, grid: { stroke: grid, width: 1 }, ticks: { stroke: grid, width: 1, size: 4 }, gap: 3 };
   const timeSpan = clock ? clock.full[1] : 0;
   const x = { ...base, size: showTime ? 26 : 0, space: 64 };
   if (!showTime) Object.assign(x, { ticks: { show: false }, values: (u, splits) => splits.map(() => "") });
   else if (clock) x.values = (u, splits, i, space, step) => splits.map((t) => timeText(t, step, timeSpan));
   if (clock) x.incrs = TIMES;
+  if (label && showTime) Object.assign(x, { label, labelFont: font, labelSize: 15, labelGap: 0 });
   const y = { ...base, size: valueWidth, space: (u, i, lo, hi, height) => Math.max(18, height / 9) };
   const plain = (u, splits, i, space, step) => splits.map((v) => (v === null ? "" : tick(v, step)));
   const round = { values: (u, splits) => splits.map(roundText), splits: (u, axis, lo, hi) => logTicks(lo, hi), filter: (u, splits) => splits };

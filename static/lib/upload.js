@@ -86,9 +86,9 @@ export async function upload(file, options, { onProgress, onWait, signal } = {})
 /** The table's columns, their types, first rows and a guess at what they are. */
 export const columns = (id) => api(`uploads/${id}/columns`);
 
-/** Starts reading the file; resolves with the job. */
-export async function finish(file, id, mapping) {
-  const job = await api(`uploads/${id}/finish`, { json: mapping ? { mapping } : {} });
+/** Starts reading the file, `how`: {mapping, in_order}; resolves with the job. */
+export async function finish(file, id, how = {}) {
+  const job = await api(`uploads/${id}/finish`, { json: how });
   memory.drop(file);
   return job;
 }

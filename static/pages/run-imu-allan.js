@@ -9,7 +9,6 @@ import { count, number, percent, seconds, uncertain } from "../lib/format.js";
 import { notesList, refusal } from "./run-imu-parts.js";
 
 const FLOOR = Math.sqrt((2 * Math.log(2)) / Math.PI);
-const POOR = 20; // chi-square by its degrees of freedom beyond which the fit is no description
 const LINES = {
   N: { label: "N: white", dash: [2, 3], of: (v, tau) => v / Math.sqrt(tau) },
   B: { label: "B: instability", dash: [7, 3], of: (v) => FLOOR * v },
@@ -95,7 +94,6 @@ function table({ noise, fit, notes, readings, rest_share: share }) {
     { class: "imu-side" },
     h("div", { class: "metrics-scroll" }, h("table", { class: "table metrics imu-noise" }, h("thead", {}, h("tr", {}, h("th", {}, "Noise"), h("th", {}, "SI, two-sided"), h("th", {}, "Data sheet"))), h("tbody", {}, rows))),
     h("p", { class: "dim imu-facts" }, facts.filter(Boolean).join(" ")),
-    fit.dof > 0 && fit.chi2 > POOR * fit.dof ? h("p", { class: "note amber imu-facts" }, "This model does not describe the curve: it has bumps that no sum of these noises makes (vibration, coarse steps, a changing mean). Take its figures with care.") : "",
     notesList(notes.filter((n) => !n.includes("not identifiable"))),
   );
 }

@@ -76,7 +76,7 @@ function draw(body, got, context, axis) {
   return [histogram(cells[0], got, context, axis, units), probability(cells[1], got, context, axis, units)];
 }
 
-function histogram(cell, { histogram: { edges, counts, gaussian } }, { run, fileName }, axis, { unit, si, factor }) {
+function histogram(cell, { histogram: { edges, counts, gaussian } }, { run, fileName }, axis, { unit, factor }) {
   const x = edges.map((v) => v * factor);
   const middle = x.slice(1).map((v, i) => (v + x[i]) / 2);
   const total = counts.length;
@@ -90,7 +90,7 @@ function histogram(cell, { histogram: { edges, counts, gaussian } }, { run, file
     subject: run.name,
     fileName,
     domain: [x[0] - room, x[x.length - 1] + room],
-    xLabel: `reading (SI: ${si})`,
+    xLabel: "reading",
     xUnit: unit,
     zero: true,
     series: [

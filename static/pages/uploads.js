@@ -36,7 +36,7 @@ class Panel {
 
   dismiss() {
     this.stop.abort();
-    if (this.upload && !this.job) abandon(this.file, this.upload.id);
+    if (this.upload && (!this.job || this.mendable)) abandon(this.file, this.upload.id);
     if (this.job && this.element.dataset.state === "reading") api(`jobs/${this.job.id}/cancel`, { method: "POST" }).catch(() => {});
     this.element.remove();
     $("#uploads").hidden = $("#uploads").children.length === 0;
@@ -45,14 +45,26 @@ class Panel {
   fail(error) {
     if (error.name === "AbortError" || this.stop.signal.aborted) return;
     this.say("failed", error.code === "too_large" ? "too large" : "refused; nothing of it was stored");
-    this.more.replaceChildren(problemNote(error));
+    this.mendable = error.code === "stamp_order";
+    this.more.replaceChildren(problemNote(error, this.mendable ? this.mend() : ""));
+  }
+
+  /** Stamps that go back: the file as it is stays refused, but its other rows can be had. */
+  mend() {
+    const yes = h("button", { type: "button", class: "button", "data-mend": "in_order" }, "Leave those rows out and add the rest");
+    yes.addEventListener("click", () => {
+      this.more.replaceChildren();
+      this.read({ ...this.how, in_order: true }).catch((error) => this.fail(error));
+    });
+    return h("p", { class: "row" }, yes, h("span", { class: "dim" }, "How many they were will stand among the run's warnings."));
   }
 
   async run() {
     try {
       this.file = await this.item.file();
       await this.send();
-      await this.read(TABLE.test(this.file.name) ? await this.map() : undefined);
+      const mapping = TABLE.test(this.file.name) ? await this.map() : undefined;
+      await this.read(mapping ? { mapping } : {});
     } catch (error) {
       this.fail(error);
     }
@@ -80,9 +92,10 @@ class Panel {
     return mapping;
   }
 
-  async read(mapping) {
+  async read(how) {
+    this.how = how;
     this.say("reading", "reading", 0);
-    this.job = await finish(this.file, this.upload.id, mapping);
+    this.job = await finish(this.file, this.upload.id, how);
     const job = await followJob(this.job.id, (now) => this.say("reading", now.message || "reading", now.progress));
     if (job.state === "cancelled") return this.dismiss();
     if (job.state === "failed") return this.fail(job.error ?? { detail: job.message });

@@ -203,6 +203,13 @@ static void take_reading(ds_gather *g, const ds_bias_input *in)
     g->moves = g->moves || in->moving;
 }
 
+/* Variance of flicker that is too fast for rests to show, yet part of the bias. */
+static float too_fast(const ds_level *level)
+{
+    const float white = level->white * DS_BLOCK_S;
+    return (white > 0.0f) ? (DS_FAST * DS_FAST * level->swing / (1.0f + (DS_SHOWN * level->swing / white))) : 0.0f;
+}
+
 static void show(const ds_bias *s, ds_bias_view *view)
 {
     const ds_gather *const g = &s->gather;
@@ -211,7 +218,7 @@ static void show(const ds_bias *s, ds_bias_view *view)
     ds_sum now = s->filter.heading;
     view->at_rest = any && last->mark.rests;
     view->bias = any ? last->bias : 0.0f;
-    view->bias_sd = any ? sqrtf(ds_most(last->bias_variance, 0.0f) + (DS_FAST * DS_FAST * s->level.swing)) : DS_UNKNOWN;
+    view->bias_sd = any ? sqrtf(ds_most(last->bias_variance, 0.0f) + too_fast(&s->level)) : DS_UNKNOWN;
     view->heading_sd = sqrtf(ds_most(s->filter.p[0][0], 0.0f));
     if (!view->at_rest) { /* between blocks, the readings since */
         now = ds_sum_add(ds_sum_join(now, g->turned), -g->ahead);

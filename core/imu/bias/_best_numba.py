@@ -35,6 +35,7 @@ from core.imu.bias._learn_numba import (
     ENTER,
     EVEN,
     FAR,
+    FAST,
     FIRST,
     FRESH,
     GATE,
@@ -54,6 +55,7 @@ from core.imu.bias._learn_numba import (
     REFUSED,
     RING,
     SCALES,
+    SHOWN,
     SPREAD,
     STEADY,
     STOP,
@@ -129,15 +131,16 @@ def step(s: State, c: Floats, block: Floats) -> int:
 
 
 @numba.njit(cache=False)
-def known(s: State, out: Floats) -> None:
+def known(s: State, c: Floats, out: Floats) -> None:
     """What is known after the last block, into out (7,): heading, its variance, bias, its variance, rests, variance
-    of a reading as its mean in rest shows it, variance of the Gauss-Markov process."""
+    of a reading as its mean in rest shows it, variance of flicker that is too fast for rests to show."""
     slot = (s.n[AT] - 1) % RING
     out[0], out[1] = s.x[0], s.p[0, 0]
     out[2], out[3] = s.bias[slot]
     out[4] = s.mark[slot, 0]
     out[5] = s.level[NOISE] * s.level[HELD]
-    out[6] = s.level[SWING]
+    white = s.level[WHITE] * c[LENGTH]
+    out[6] = FAST * FAST * s.level[SWING] / (1 + SHOWN * s.level[SWING] / white) if white > 0 else 0.0
 
 
 @numba.njit(cache=False)
@@ -368,7 +371,7 @@ def _entry_point(digest: int) -> Any:
             block = given[k]
             features(x, start[k], start[k + 1], s.level[READING], block)
             low = step(s, c, block)
-            known(s, live[k])
+            known(s, c, live[k])
             for i in range(max(low, first), first + k + 1):
                 marks[i - first] = s.mark[i % RING]
             mean[k] = block[MEAN]

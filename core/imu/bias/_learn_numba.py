@@ -41,16 +41,19 @@ READING, SPREAD, NOISE, WHITE, HELD, LEARNT, WALK, SWING = range(8)
 EDGES = (0, 2, 5, 12, 25, 50)  # blocks since a rest began, of the bins that the tail is learnt in
 TABLE = 50
 DOUBT = 3.0  # times its own variance that the tail's mean must exceed, squared
-TAIL_PRIOR = 6.0  # stops that the prior of the tail counts for
 
 # Counters
 AT, BEGAN, FRESH, REFUSED, VETOED, OLD, OLD_SINCE, OLD_SIGN, GROUPED = range(9)
 
 BANK_K = (1 / 3000, 1 / 800, 1 / 200, 1 / 50)  # candidates of K over N
-BANK_SD = (1 / 60, 1 / 20, 1 / 7, 1 / 2.5)  # candidates of the Gauss-Markov deviation over N
-BANK_PRIOR = (0.1, 0.4, 0.4, 0.1)
+BANK_K_PRIOR = (0.1, 0.4, 0.4, 0.1)
+BANK_SD = (1 / 60, 1 / 20, 1 / 7, 1 / 2.5, 1 / 1.4)  # candidates of the Gauss-Markov deviation over N
+BANK_SD_PRIOR = (0.1, 0.4, 0.35, 0.1, 0.05)
+SDS = len(BANK_SD)
 USUAL_TAU = 100.0  # s, of the Gauss-Markov process
 GROUP = 10  # blocks of a mean that the drift is learnt from
+FAST = 0.85  # of the Gauss-Markov deviation: flicker too fast for rests to show, yet part of the bias
+SHOWN = 6.0  # s: where flicker stands out from the white noise of a mean over so long, rests show more of it
 
 
 class State(NamedTuple):
@@ -70,7 +73,7 @@ class State(NamedTuple):
     tail: Floats  # (TABLE, 2) mean (signed by the movement) and variance of what is left, by blocks since a rest began
     bins: Floats  # (5, 7) of the tail: sum, count of this rest; mean, variance, rests, variance of one, mean in use
     start: Floats  # (2,) bias and variance before the rest that is being learnt from
-    bank: Floats  # (16, 7) drift candidates: weight, b, f, three variances, spare
+    bank: Floats  # (20, 7) drift candidates: weight, b, f, three variances, spare
     last: Floats  # (3,) clipped and plain mean of the block that was learnt from last, spare
     group: Floats  # (4,) sum of means, of variances, count, time since the last group
     n: Ints  # (9,) counters
@@ -81,7 +84,7 @@ def new_state(setting: Floats) -> State:
     p = np.zeros((SIZE, SIZE))
     p[1, 1], p[2, 2], p[3, 3] = setting[FIRST], setting[SD2], setting[SLOPE]
     bank = np.zeros((len(BANK_K) * len(BANK_SD), 7))
-    bank[:, 0] = np.outer(BANK_PRIOR, BANK_PRIOR).ravel()
+    bank[:, 0] = np.outer(BANK_K_PRIOR, BANK_SD_PRIOR).ravel()
     level = np.zeros(8)
     level[WALK], level[SWING] = setting[K2], setting[SD2]
     return State(
@@ -164,10 +167,14 @@ def _scale(s: State, c: Floats) -> None:
         s.level[WALK], s.level[SWING] = _drift(s, white)
         s.p[2, 2] = max(s.p[2, 2], s.level[SWING])
     for i in range(s.bins.shape[0]):
-        middle = (EDGES[i] + EDGES[i + 1]) / 2 * h
         s.bins[i, 2], s.bins[i, 4], s.bins[i, 5] = 0.0, 0.0, 0.0
-        s.bins[i, 3] = c[TAIL] * c[TAIL] * white * np.exp(-2 * middle / 5)
+        s.bins[i, 3] = _first_variance(c, i, white)
     _tabulate(s)
+
+
+@numba.njit(cache=False)
+def _first_variance(c: Floats, i: int, white: float) -> float:  # of the tail in bin i, before it is learnt
+    return c[TAIL] * c[TAIL] * white * np.exp(-(EDGES[i] + EDGES[i + 1]) / 5 * c[LENGTH])
 
 
 @numba.njit(cache=False)
@@ -211,12 +218,12 @@ def learn(s: State, c: Floats, slot: int) -> None:
         if since <= TABLE:
             _learn_tail(s, b, since)
             if since == TABLE:
-                _end_of_rest(s, TABLE + 5, c[LENGTH])
+                _end_of_rest(s, c, TABLE + 5)
         if c[GIVEN] <= 0:
             _learn_drift(s, c, b, since, s.mark[slot, 3])
     elif not rests:
         if n[OLD] == 1 and n[OLD_SINCE] < TABLE:
-            _end_of_rest(s, n[OLD_SINCE], c[LENGTH])
+            _end_of_rest(s, c, n[OLD_SINCE])
         s.group[3] += b[TIME]
         s.group[0], s.group[1], s.group[2] = 0.0, 0.0, 0.0
         s.start[0], s.start[1] = s.bias[slot]
@@ -257,8 +264,9 @@ def _learn_tail(s: State, b: Floats, since: int) -> None:
 
 
 @numba.njit(cache=False)
-def _end_of_rest(s: State, length: int, h: float) -> None:
+def _end_of_rest(s: State, c: Floats, length: int) -> None:
     """What was left in the bins that this rest filled."""
+    h = c[LENGTH]
     white = s.level[WHITE] * h
     for i in range(s.bins.shape[0]):
         m = s.bins[i, 1]
@@ -275,7 +283,9 @@ def _end_of_rest(s: State, length: int, h: float) -> None:
         # The mean's prior: 0 within 0.7 N, less where the rest has lasted.
         usual = 0.5 * white * np.exp(-(EDGES[i] + EDGES[i + 1]) / 8 * h) + 1e-3 * known
         q[2] += min(max(d, -np.sqrt(most)), np.sqrt(most)) / min(q[4] + known / usual, 1000.0)
-        q[3] += (min(d * d, most) - known - q[3]) / min(q[4] + TAIL_PRIOR, 400.0)
+        # The variance's prior is as wide as it is large, and one rest shows it to sqrt(2) (known + variance).
+        one = (known + max(q[3], 0.0)) / _first_variance(c, i, white)
+        q[3] += (min(d * d, most) - known - q[3]) / min(q[4] + 2 * one * one, 400.0)
         q[5] += (known + max(q[3], 0.0) - q[5]) / min(q[4], 400.0)
     _tabulate(s)
 
@@ -298,7 +308,7 @@ def _learn_drift(s: State, c: Floats, b: Floats, since: int, sign: int) -> None:
     phi, total, first = np.exp(-gap / c[TAU]), 0.0, s.n[GROUPED] == 0
     for i in range(s.bank.shape[0]):
         q = s.bank[i]
-        k2, sd2 = BANK_K[i // 4] ** 2 * white, BANK_SD[i % 4] ** 2 * white
+        k2, sd2 = BANK_K[i // SDS] ** 2 * white, BANK_SD[i % SDS] ** 2 * white
         if first:
             q[1], q[2], q[3], q[4], q[5] = mean, 0.0, noise, 0.0, sd2
             total += q[0]
@@ -328,6 +338,6 @@ def _drift(s: State, white: float) -> tuple[float, float]:
     """K^2 and Gauss-Markov variance: means over the candidates."""
     walk, swing = 0.0, 0.0
     for i in range(s.bank.shape[0]):
-        walk += s.bank[i, 0] * BANK_K[i // 4] ** 2
-        swing += s.bank[i, 0] * BANK_SD[i % 4] ** 2
+        walk += s.bank[i, 0] * BANK_K[i // SDS] ** 2
+        swing += s.bank[i, 0] * BANK_SD[i % SDS] ** 2
     return walk * white, swing * white

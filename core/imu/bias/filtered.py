@@ -25,7 +25,7 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
 
-FAST = 0.8  # of the Gauss-Markov sd: flicker too fast for means at rest to show, yet part of the bias
+HIDDEN = 0.8  # of the Gauss-Markov sd, in hindsight: flicker too fast for means at rest to show
 FASTEST = 4.0  # s: of flicker faster than this hardly anything is left in a bias
 HINDSIGHT = 1500  # blocks after which noise levels count as known
 
@@ -45,7 +45,7 @@ class FilterConfig:
     patience: float = 30.0
     tail: float = 3.0
     tail_tau: float = 5.0
-    stop: float = 2.0
+    stop: float = 1.0
     first_sd: float = 0.2
     noise: BiasNoise | None = None
 
@@ -215,7 +215,7 @@ def _result(
         at = np.minimum(-(-np.arange(len(out)) // cells), count)
         # Every octave of flicker holds as much: the fewer there are below the process' time, the less is missing.
         octaves = np.log(max(noise.tau / FASTEST, 1.0)) / np.log(kernel.USUAL_TAU / FASTEST)
-        fast = noise.sd**2 * min(float(octaves), 1.0) + usual(noise.N).sd ** 2
+        fast = HIDDEN**2 * (noise.sd**2 * min(float(octaves), 1.0) + usual(noise.N).sd ** 2)
         ends = np.concatenate((out[:1], blocks.t))
         still = done.still
         calm = np.concatenate((still[:1], still))[at]
@@ -231,7 +231,7 @@ def _result(
         out,
         theta - theta[0],
         value[at],
-        np.sqrt(np.maximum(variance[at], 0.0) + FAST**2 * fast),
+        np.sqrt(np.maximum(variance[at], 0.0) + fast),
         np.sqrt(np.maximum(spread, 0.0)),
         calm,
         SegmentVerdicts(blocks.t - blocks.length / 2, done.mean, verdict.astype(np.int8)),

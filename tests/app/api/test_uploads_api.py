@@ -128,7 +128,6 @@ def test_wrong_checksum(server: TestClient, zipped: Zipped) -> None:
     ("name", "data", "code", "where"),
     [
         ("imu.csv", b"t,gz\n0,1\n1,x\n", "format", {"stream": "imu", "row": 2, "column": "gz"}),
-        ("imu.csv", b"t,gz\n0,1\n0,1\n", "format", {"stream": "imu", "row": 2, "column": "t"}),
         ("imu.csv", b"t,gz\n", "format", {"stream": "imu"}),
         ("a.zip", b"PK\x03\x04 nonsense", "format", {}),
         ("a.exe", b"MZ\x00\x01", "unknown_format", {"file": "a.exe"}),
@@ -172,6 +171,26 @@ def test_a_foreign_table_waits_for_its_mapping(server: TestClient) -> None:
     run = server.get(f"{API}/runs/{job['result']['run_id']}").json()
     assert run["source"]["mapping"]["streams"].keys() == {"imu"} and run["duration_s"] == pytest.approx(0.04)
     assert gone(server, upload_id)
+
+
+def test_rows_whose_stamps_go_back_can_be_left_out(server: TestClient) -> None:
+    rows = [(0.0, 1.0), (0.1, 1.5), (0.05, 9.0), (0.2, 2.0), (0.2, 9.0), (0.3, 2.5)]
+    data = ("t,gz\n" + "".join(f"{t},{gz}\n" for t, gz in rows)).encode()
+    total = server.get(f"{API}/runs").json()["total"]
+    answer = server.post(f"{API}/runs", params={"filename": "imu.csv"}, content=data)
+    assert answer.status_code == 422 and answer.json()["code"] == "stamp_order"
+    where = answer.json()["where"]
+    assert (where["stream"], where["row"], where["column"]) == ("imu", 3, "t")
+    assert server.get(f"{API}/runs").json()["total"] == total
+    again = finished(server, where["upload"])
+    assert again["error"]["code"] == "stamp_order"
+    job = finished(server, where["upload"], {"in_order": True})
+    assert job["state"] == "done", job
+    run = server.get(f"{API}/runs/{job['result']['run_id']}").json()
+    assert "row 3 says 0.05 s after 0.1 s" in run["warnings"][0] and "2 of 6" in run["warnings"][0]
+    shown = server.get(f"{API}/runs/{run['id']}/streams/imu", params={"columns": "gz"}).json()
+    assert shown["series"][0]["y"] == [1.0, 1.5, 2.0, 2.5]
+    assert gone(server, where["upload"])
 
 
 def test_asynchronous_upload(server: TestClient, zipped: Zipped) -> None:
