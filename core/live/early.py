@@ -13,11 +13,14 @@ from core.run import Run
 from core.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from core.live.intake import Taken
     from core.live.odometry import EncodersGyro
+    from core.live.published import Published
 
 Array = npt.NDArray[np.float64]
 
 LONGEST = 60.0  # s
+MOST = 12_000  # pieces
 
 
 class Rolled:
@@ -46,11 +49,11 @@ class Rolled:
 
 
 class Early:
-    """Readings of the gyro before `encoders+gyro` has begun, and the path by the wheels meanwhile."""
+    """What came before the methods that lean on the gyro have begun, and the path by the wheels meanwhile."""
 
     def __init__(self) -> None:
         self._paths: list[Trajectory] = []
-        self._rows: list[tuple[Array, Array]] = []
+        self._taken: list[Taken] = []
 
     def by_wheels(self, path: Trajectory) -> None:
         """Poses by the wheels alone."""
@@ -58,25 +61,32 @@ class Early:
         while self._paths[0].t[-1] < path.t[-1] - LONGEST:
             self._paths.pop(0)
 
-    def by_imu(self, t: Array, inertial: Array) -> None:
-        """Readings, as of `Intake`."""
-        self._rows.append((t, inertial))
-        while self._rows[0][0][-1] < t[-1] - LONGEST:
-            self._rows.pop(0)
+    def keep(self, taken: Taken) -> None:
+        """A piece made ready."""
+        self._taken.append(taken)
+        with_imu = [len(part.imu) > 0 for part in (self._taken[0], taken)]
+        if len(self._taken) > MOST or (all(with_imu) and self._taken[0].imu[-1, 0] < taken.imu[-1, 0] - LONGEST):
+            self._taken.pop(0)
 
     def rested(self, rest: Rest, run: Run) -> None:
-        """Which of them were at rest, as is known once the noise is."""
+        """Which readings were at rest, as is known once the noise is."""
         assert run.imu is not None
-        for t, inertial in self._rows:
+        for taken in self._taken:
+            t = taken.imu[:, 0]
             at = np.minimum(np.searchsorted(run.imu.t, t), len(run.imu) - 1)
-            inertial[:, 2] = rest.flags[at] & (run.imu.t[at] == t)
+            taken.inertial[:, 2] = rest.flags[at] & (run.imu.t[at] == t)
 
-    def hand_over(self, gyro: EncodersGyro) -> None:
-        """All of it to the method that begins."""
-        gyro.begin(float(self._rows[0][0][0]), joined_paths(self._paths))
-        for t, inertial in self._rows:
-            gyro.take(t, inertial)
-        self._paths, self._rows = [], []
+    def hand_over(self, gyro: EncodersGyro, published: Published | None) -> None:
+        """All of it to the methods that begin."""
+        first = next(float(taken.imu[0, 0]) for taken in self._taken if len(taken.imu))
+        pose = gyro.begin(first, joined_paths(self._paths))
+        if published is not None:
+            published.begin(pose)
+        for taken in self._taken:
+            gyro.take(taken)
+            if published is not None:
+                published.take(taken)
+        self._paths, self._taken = [], []
 
 
 def joined_paths(parts: list[Trajectory]) -> Trajectory:

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from core.estimation import needs
 from core.estimation.assumptions import Config, assume
 from core.estimation.odometry import WheelPath
+from core.estimation.published import missing as missing_for_published
 from core.estimation.rest import at_rest
 from core.estimation.result import Curve, Event
 from core.live.beacon import Beacon
@@ -25,6 +26,7 @@ from core.live.intake import Intake, Taken
 from core.live.links import Links, LinkState
 from core.live.odometry import Encoders, EncodersGyro
 from core.live.pieces import pieces
+from core.live.published import Published
 from core.live.recent import Recent
 from core.live.rhythm import Rhythm, rhythm
 from core.live.steady import SteadyBias
@@ -37,7 +39,7 @@ KEEP = 4.0  # s that methods look back
 LONGEST = 2.0  # s of a piece that is taken at once
 SLOW = 0.5  # s between two steps of what may lag behind
 PATIENCE = 1.0  # s after which a silent wheel stream is not waited for
-METHODS = ("encoders", "beacon", "encoders+gyro", "fused")
+METHODS = ("encoders", "beacon", "encoders+gyro", "published", "fused")
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,7 @@ class LiveEstimator:
         self.beacon = Beacon(meta, self.numbers)
         self.fused = Fused(meta, self.numbers)
         self.gyro: EncodersGyro | None = None
+        self.published: Published | None = None
         self.rhythm: Rhythm | None = None
         self.disturbed, self.bias, self.links = Disturbed(meta, self.numbers), SteadyBias(), Links(meta, self.numbers)
         self._beginning: Recent | None = Recent(meta, 60.0)
@@ -107,7 +110,7 @@ class LiveEstimator:
         recent, rolled = self._recent.run, self._rolled.path
         if recent.beacon is None and recent.ranges is not None:
             paths["beacon"] = self.beacon.by_ranges(recent)
-        paths["encoders+gyro"] = self._turn()
+        paths.update(self._turn())
         found = self.disturbed.step(recent)
         self.fused.tell(found)
         bias = self.bias.step(recent)
@@ -122,10 +125,13 @@ class LiveEstimator:
             "encoders": needs.for_encoders(run),
             "beacon": needs.for_beacon(run),
             "encoders+gyro": needs.for_encoders_gyro(run),
+            "published": missing_for_published(run),
             "fused": needs.for_fused(run) or self.fused.reason,
         }
         if missing["encoders+gyro"] is None and self.gyro is None:
             missing["encoders+gyro"] = "waiting for a second of wheels and IMU"
+        if missing["published"] is None:
+            missing["published"] = self.published.reason if self.published is not None else missing["encoders+gyro"]
         self._reasons = missing
         return missing
 
@@ -158,22 +164,26 @@ class LiveEstimator:
         return path
 
     def _feel(self, taken: Taken) -> None:
-        if not len(taken.imu_t):
-            return
         if self.gyro is None:
-            self._early.by_imu(taken.imu_t, taken.inertial)
-        else:
-            self.gyro.take(taken.imu_t, taken.inertial)
+            self._early.keep(taken)
+            return
+        self.gyro.take(taken)
+        if self.published is not None:
+            self.published.take(taken)
 
-    def _turn(self) -> Trajectory | None:
-        """`encoders+gyro` up to the newest wheel reading, or past it where the wheels are silent."""
+    def _turn(self) -> dict[str, Trajectory | None]:
+        """`encoders+gyro` and `published` up to the newest wheel reading, or past it where the wheels are silent."""
         imu, seen, rolled = self._recent.run.imu, self.rhythm, self._rolled.path
         if imu is None or seen is None or not seen.imu or not len(rolled.t):
-            return None
+            return {}
         if self.gyro is None:
             self.gyro = EncodersGyro(self._meta, self.numbers, seen)
-            self._early.hand_over(self.gyro)
-        return self.gyro.step(rolled, max(float(rolled.t[-1]), float(imu.t[-1]) - PATIENCE))
+            if imu.ax is not None and imu.ay is not None and self._meta.robot.track_width:
+                self.published = Published(self._meta, self.numbers, seen)
+            self._early.hand_over(self.gyro, self.published)
+        until = max(float(rolled.t[-1]), float(imu.t[-1]) - PATIENCE)
+        by_published = self.published.step(rolled, until) if self.published is not None else None
+        return {"encoders+gyro": self.gyro.step(rolled, until), "published": by_published}
 
 
 def _present(paths: Mapping[str, Trajectory | None]) -> dict[str, Trajectory]:

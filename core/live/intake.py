@@ -29,12 +29,12 @@ NOTHING = np.zeros((0, 6))
 
 @dataclass(frozen=True)
 class Taken:
-    """A piece made ready. rolled: the wheels' path at its stamps, from the run's first reading on; inertial (I, 3) rate
-    [rad/s], forward acceleration [m/s^2] and whether at rest, at the IMU's stamps `imu_t`; fixes (F, 6): t, x, y,
-    theta or NaN first; events of the filter."""
+    """A piece made ready. rolled: the wheels' path at its stamps, from the run's first reading on; imu (I, 4) t, gz,
+    ax, ay; inertial (I, 3) rate [rad/s], forward acceleration [m/s^2], whether at rest; fixes (F, 6), the first t, x,
+    y, theta or NaN; events of the filter."""
 
     rolled: WheelPath
-    imu_t: Array
+    imu: Array
     inertial: Array
     fixes: Array
     events: Events
@@ -80,7 +80,7 @@ class Intake:
         )  # fmt: skip
         first = KR if not self._names else BR + 1
         events = Events(t, kind, data, flags, t[kind == OUT], first, tuple(self._names))
-        return Taken(WheelPath(wheels[:, 0], *rolled), inertia[:, 0], inertial, fixes, events)
+        return Taken(WheelPath(wheels[:, 0], *rolled), inertia, inertial, fixes, events)
 
     def _fixes(self, piece: Run) -> Array:
         log = piece.beacon

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from core.estimation.assumptions import Assumptions, encoder_quantum
 from core.estimation.odometry import WheelPath, chi2_gate, gyro_turns, reading_noise, start_covariance, start_pose
 from core.live import _poses_numba as kernel
+from core.live.intake import Taken
 from core.live.rhythm import Rhythm
 from core.run import Run, RunMeta
 from core.sensors import ImuLog
@@ -53,19 +54,21 @@ class EncodersGyro:
         self._waiting: list[Array] = []  # t, rate, rest of readings without a pose, behind the one stepped from
         self._distance = 0.0
 
-    def begin(self, t: float, wheels: Trajectory) -> None:
-        """Set out at the first IMU stamp, from where the wheels' path is by then."""
+    def begin(self, t: float, wheels: Trajectory) -> Array:
+        """Set out at the first IMU stamp, from where the wheels' path is by then: (3,) the pose."""
         pose = np.array([np.interp(t, wheels.t, column) for column in (wheels.x, wheels.y, wheels.theta)])
         self._x[:3], self._origin = pose, pose[:2].copy()
+        return pose
 
     @property
     def bias(self) -> tuple[float, float]:
         """Gyro bias and its sd [rad/s]."""
         return float(self._x[3]), float(np.sqrt(self._P[3, 3]))
 
-    def take(self, t: Array, inertial: Array) -> None:
-        """New readings: stamps, and rate, acceleration and rest as of `Intake`."""
-        self._waiting.append(np.column_stack((t, inertial[:, 0], inertial[:, 2])))
+    def take(self, taken: Taken) -> None:
+        """New readings."""
+        if len(taken.imu):
+            self._waiting.append(np.column_stack((taken.imu[:, :2], taken.inertial[:, 2])))
 
     def step(self, path: WheelPath, until: float) -> Trajectory | None:
         """Poses at the stamps of readings up to `until`, given the last seconds of the wheels' path; None where there
@@ -73,7 +76,7 @@ class EncodersGyro:
         from core.estimation._gyro_numba import walk
 
         numbers = self._numbers
-        rows = np.concatenate(self._waiting)
+        rows = np.concatenate((np.zeros((0, 3)), *self._waiting))
         end = int(np.searchsorted(rows[:, 0], until, "right"))
         begins = not self._begun
         if end <= (0 if begins else 1):

@@ -63,6 +63,13 @@ class PoseFilter:
         H = self._jacobian(len(z))
         return float(y @ np.linalg.solve(H @ self.covariance @ H.T + R, y))
 
+    def scores(self, z: Array, R: Array) -> Array:
+        """(2,) signed innovations of the position, each over its own sd; NaN for a fix that is none."""
+        y = _residual(z, self.expected(len(z)))[:2]
+        H = self._jacobian(2)
+        sd = np.sqrt(np.diag(H @ self.covariance @ H.T + R[:2, :2]))
+        return np.where(np.abs(y) < ABSURD, y / sd, np.nan)
+
     def update(self, z: Array, R: Array) -> None:
         """Eq. (5), lines 3 to 5, with a fix z (3,) or (2,)."""
         rows = len(z)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -23,13 +23,32 @@ from core.estimation.published.reckoning import Reckoning, motion
 from core.estimation.result import Event, Innovations
 from core.geometry import between, compose, wrap_angle
 
-if TYPE_CHECKING:
-    from core.estimation.published.kalman import PoseFilter
-
 Array = npt.NDArray[np.float64]
 
 CONSISTENT = 3.5  # sigma within which fixes agree
 LOST = "beacon by encoders, gyro and accelerometers"
+
+
+class Filter(Protocol):
+    """What the tracker asks of a filter, as `kalman.PoseFilter` documents it."""
+
+    @property
+    def pose(self) -> Array: ...
+
+    @property
+    def covariance(self) -> Array: ...
+
+    def replace(self, pose: Array, covariance: Array) -> None: ...
+
+    def predict(self, step: Array, covariance: Array) -> None: ...
+
+    def expected(self, rows: int = 3) -> Array: ...
+
+    def distance(self, z: Array, R: Array) -> float: ...
+
+    def scores(self, z: Array, R: Array) -> Array: ...
+
+    def update(self, z: Array, R: Array) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -54,36 +73,50 @@ class Tracker:
     numbers: Assumptions
     choice: Decisions
     events: list[Event] = field(default_factory=list)
+    _longest: float = math.inf
 
     def walk(self, pose: Array, covariance: Array, skip: int = 0) -> Track:
         """From a start pose at the path's first stamp; the first `skip` fixes were spent on it."""
         from core.estimation.published.kalman import PoseFilter  # filterpy brings scipy.stats, which is slow to import
 
         t = self.fixes.t[skip:]
-        rows = self.path.at(np.concatenate((self.path.t[:1], t)))
-        steps, noise = motion(rows[:-1], rows[1:])
+        self._longest = self.choice.loss + 2 * self._rhythm()
         kf = PoseFilter(pose, covariance, self.tag)
-        gates = {rows_: chi2_gate(rows_, self.numbers) for rows_ in (2, 3)}
+        self.begin(float(self.path.t[0]))
+        poses, covariances, judged = self.go_on(kf, t, self.path.at(np.concatenate((self.path.t[:1], t))), skip)
+        self._lost_until(float(self.path.t[-1]))
+        stamps = np.concatenate((self.path.t[:1], t))
+        poses, covariances = [pose, *poses], [covariance, *covariances]
+        return Track(stamps, np.array(poses), np.array(covariances), tuple(self.events), _innovations(t, judged))
+
+    def _rhythm(self) -> float:
+        return float(np.median(np.diff(self.fixes.t))) if len(self.fixes.t) > 1 else math.inf
+
+    def begin(self, t: float) -> None:
+        """Nothing is known yet; it begins at t."""
         self._recent: deque[tuple[Array, Array, Array]] = deque(maxlen=self.choice.fixes_to_replace)
-        self._normal, self._refused, self._since = float(self.path.t[0]), 0, math.inf
-        rhythm = float(np.median(np.diff(self.fixes.t))) if len(self.fixes.t) > 1 else math.inf
-        self._longest = self.choice.loss + 2 * rhythm
+        self._normal, self._refused, self._since = t, 0, math.inf
         self._before: tuple[Array, Array] | None = None
-        poses, covariances, judged = [kf.pose], [kf.covariance], np.full((len(t), 3), np.nan)
+
+    def go_on(self, kf: Filter, t: Array, rows: Array, skip: int = 0) -> tuple[list[Array], list[Array], Array]:
+        """Over the fixes from number `skip` on, at stamps t (M,); rows (M + 1, 12) of the reckoned path, the first
+        where the filter stands. Pose and covariance after each, and (M, 5) nis, its degrees of freedom, whether normal,
+        both scores."""
+        steps, noise = motion(rows[:-1], rows[1:])
+        gates = {rows_: chi2_gate(rows_, self.numbers) for rows_ in (2, 3)}
+        poses, covariances, judged = [], [], np.full((len(t), 5), np.nan)
         for k, now in enumerate(t.tolist()):
             kf.predict(steps[k], noise[k])
             seen = self.fixes.fix(skip + k, float(kf.pose[2] - rows[k + 1, 2]))
             if seen is not None:
-                nis, dof, good = self._take(kf, now, rows[k + 1, :3], seen, gates)
-                judged[k] = nis, dof, good
+                scores = kf.scores(*seen)
+                judged[k] = *self._take(kf, now, rows[k + 1, :3], seen, gates), *scores
             poses.append(kf.pose)
             covariances.append(kf.covariance)
-        self._lost_until(float(self.path.t[-1]))
-        stamps = np.concatenate((self.path.t[:1], t))
-        return Track(stamps, np.array(poses), np.array(covariances), tuple(self.events), _innovations(t, judged))
+        return poses, covariances, judged
 
     def _take(
-        self, kf: PoseFilter, now: float, row: Array, seen: tuple[Array, Array], gates: dict[int, float]
+        self, kf: Filter, now: float, row: Array, seen: tuple[Array, Array], gates: dict[int, float]
     ) -> tuple[float, int, bool]:
         """One fix: replaces, corrects, or is refused."""
         z, R = seen
@@ -106,7 +139,7 @@ class Tracker:
             self._refused += 1
         return nis, len(z), good
 
-    def _correct(self, kf: PoseFilter, z: Array, R: Array) -> None:
+    def _correct(self, kf: Filter, z: Array, R: Array) -> None:
         before = self._before
         if not self.choice.increments:
             kf.update(z, R)
@@ -114,7 +147,7 @@ class Tracker:
             kf.update(before[1] + z - before[0], 2 * R)
         self._before = (z, kf.expected(len(z)))
 
-    def _replace(self, kf: PoseFilter, now: float, why: str) -> bool:
+    def _replace(self, kf: Filter, now: float, why: str) -> bool:
         """The last few fixes, carried here by dead reckoning, if most of them agree."""
         if len(self._recent) < self.choice.fixes_to_replace:
             return False
@@ -159,5 +192,5 @@ def _innovations(t: Array, judged: Array) -> dict[str, Innovations]:
     for name, dof in (("beacon", 3), ("beacon.position", 2)):
         rows = judged[:, 1] == dof
         if rows.any():
-            found[name] = Innovations(t[rows], judged[rows, 0], dof, judged[rows, 2] == 1)
+            found[name] = Innovations(t[rows], judged[rows, 0], dof, judged[rows, 2] == 1, judged[rows, 3:])
     return found

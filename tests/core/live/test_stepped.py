@@ -15,6 +15,7 @@ from core.estimation.events.disturbances import Disturbance
 from core.estimation.fusion.events import merge
 from core.estimation.fusion.walk import Walk, flagged, problem, walk
 from core.estimation.pipeline import estimate
+from core.estimation.published import signals
 from core.estimation.rest import Rest, at_rest
 from core.imu.bias import track_bias
 from core.live import LiveEstimator, Step
@@ -91,6 +92,43 @@ def test_encoders_and_gyro_are_what_they_are_offline_at_the_same_rest_noise(
         live = path(steps, "encoders+gyro")
         assert live.t[-1] > SECONDS - 1.0
         assert_same(live, estimate(recorded(), "encoders+gyro").trajectory)
+
+
+def test_the_published_system_is_what_it_is_offline_at_the_same_rest_noise(
+    both: list[tuple[LiveEstimator, list[Step]]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for estimator, steps in both:
+        assert estimator.rhythm is not None
+        sd = estimator.rhythm.gyro_sd
+        monkeypatch.setattr(signals, "at_rest", lambda run, numbers, sd=sd: at_rest(run, numbers, sd))
+        live = path(steps, "published")
+        assert live.t[-1] > SECONDS - 1.0
+        assert_same(live, estimate(recorded(), "published").trajectory)
+
+
+def test_the_published_system_sets_out_from_headed_fixes_and_is_set_right_by_them_after_a_blow(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    run = recorded()
+    assert run.imu is not None and run.imu.ax is not None
+    ax = np.array(run.imu.ax)
+    ax[800:804], ax[804:808] = -9.0, 9.0
+    blow = dataclasses.replace(run, imu=dataclasses.replace(run.imu, ax=ax))
+    lost = dataclasses.replace(blow, meta=dataclasses.replace(run.meta, start=None), ranges=None)
+    estimator, steps = stepped(lost, pieces(lost, 0.25))
+    assert estimator.rhythm is not None and steps[-1].reasons["published"] is None
+    sd = estimator.rhythm.gyro_sd
+    monkeypatch.setattr(signals, "at_rest", lambda run, numbers: at_rest(run, numbers, sd))
+    found = estimate(lost, "published")
+    assert "replacement" in [event.kind for event in found.events]
+    live, whole = path(steps, "published"), found.trajectory
+    rows = np.searchsorted(whole.t, live.t)
+    assert rows[0] < 200
+    np.testing.assert_allclose(live.pose, whole.pose[rows], atol=1e-9, rtol=0)
+    assert run.beacon is not None
+    headless = dataclasses.replace(lost, beacon=dataclasses.replace(run.beacon, theta=None)).crop(0.0, 4.0)
+    _, steps = stepped(headless, pieces(headless, 0.25))
+    assert "headings" in str(steps[-1].reasons["published"])
 
 
 def offline(run: Run, live: LiveEstimator, known: Disturbances | None = None) -> tuple[np.ndarray, Walk]:
