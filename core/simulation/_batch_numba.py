@@ -95,7 +95,7 @@ def same_path(a: Array, b: Array) -> bool:
 
 def _entry_points(
     digest: int,
-) -> tuple[Callable[..., None], Callable[..., None], Callable[..., int], Callable[..., None]]:
+) -> tuple[Callable[..., None], Callable[..., int], Callable[..., None]]:
     """The compiled functions that Python calls. numba's cache sees a change of this file, and of what they close over,
     but not of the files that they call into: so they close over a digest of those.
     """
@@ -137,13 +137,6 @@ def _entry_points(
             if status[b] >= 0:
                 sense(sets[b], nodes, status[b], edges, inputs, out, b)
 
-    @njit(cache=True, parallel=True, error_model="numpy")
-    def simulate_batch(
-        sets: Array, ends: Array, inputs: Inputs, capacity: int, out: Outputs, status: Indices, workers: int
-    ) -> None:
-        for k in prange(workers):
-            simulate_every(sets, ends, inputs, capacity, out, status, k, workers)
-
     @njit(cache=True, nogil=True, error_model="numpy")
     def roll(par: Array, end: float, inputs: Inputs, nodes: Array, edges: Array) -> int:
         return digest and rollout(
@@ -168,13 +161,30 @@ def _entry_points(
             path_edges(par, nodes, nodes.shape[0], inputs.grid, edges)
             sense(par, nodes, nodes.shape[0], edges, inputs, out, 0)
 
-    return simulate_every, simulate_batch, roll, sense_path
+    return simulate_every, roll, sense_path
+
+
+def _in_threads(digest: int) -> Callable[..., None]:
+    """As above. It calls `simulate_every` by its global name: a compiled function that is closed over has another
+    identity in every process, and the cache would never know it again.
+    """
+
+    @njit(cache=True, parallel=True, error_model="numpy")
+    def simulate_batch(
+        sets: Array, ends: Array, inputs: Inputs, capacity: int, out: Outputs, status: Indices, workers: int
+    ) -> None:
+        for k in prange(workers):
+            if digest:
+                simulate_every(sets, ends, inputs, capacity, out, status, k, workers)
+
+    return simulate_batch
 
 
 KERNELS = ("params.py", "_drive_numba.py", "_rollout_numba.py", "_sense_numba.py")
 _DIGEST = zlib.crc32(b"".join(Path(__file__).with_name(name).read_bytes() for name in KERNELS)) | 1
 
-simulate_every, simulate_batch, roll, sense_path = _entry_points(_DIGEST)
+simulate_every, roll, sense_path = _entry_points(_DIGEST)
+simulate_batch = _in_threads(_DIGEST)
 """simulate_every(sets, ends, inputs, capacity, out, status, first, step): parameter sets first, first + step, ... of
 `sets` (B, SLOTS), each to its end (B,) [s]; status (B,) gets the number of nodes, or -1 where `capacity` was too small.
 simulate_batch(sets, ends, inputs, capacity, out, status, workers): the same, all sets, dealt out over threads.
