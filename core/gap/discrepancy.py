@@ -32,8 +32,9 @@ BEND = (LAG + DELAY) ** 2
 """Second order of a response [s²]: a lag and a delay, each within its tolerance."""
 APART = 0.5
 """Of a lag that the model has, so much may turning differ from driving: a wheel bears another inertia in each."""
-FRICTION = 1e-3
-"""Rim speed that friction may cost a servo [m/s]: a third of the dead band's tolerance."""
+FRICTION, COAST = 1e-3, 0.1
+"""Rim speed that friction may cost a servo [m/s]: a third of the dead band's tolerance; and, of one with a lag, what a
+lag costs against this deceleration [m/s²], rolling on a floor at a hundredth of its weight."""
 SLOW = 0.05
 """Rim speeds above this [m/s] have a direction."""
 WHEEL_KEYS = ("~drive.bend", "~drive.turning_lag", "~drive.turning_bend", "~drive.friction")
@@ -50,10 +51,11 @@ def wheel_flaws(world: World, model: EffectSet, t: Array, left: Array, right: Ar
     first, second = _slower(half, step, tau)
     driving = (BEND + APART * tau * LAG) * _slower(mean, step, tau)[1]
     turning = np.array((-lag * first, (BEND + (APART * tau) ** 2) * second))
+    servo = (FRICTION + COAST * tau) / radius
     sides = []
     for sign, angle in ((-1.0, left), (1.0, right)):
         rate = np.gradient(angle) / step
-        friction = -np.cumsum(np.tanh(rate * radius / SLOW) * np.diff(t, prepend=t[:1])) * FRICTION / radius
+        friction = -np.cumsum(np.tanh(rate * radius / SLOW) * np.diff(t, prepend=t[:1])) * servo
         lagging, bend = sign * turning
         sides.append(np.array((driving, lagging, bend, friction)))
     return sides[0], sides[1]

@@ -109,19 +109,17 @@ def fit_at(problem: Problem, inside: Model, scope: str, spread: float = 1.0, sco
         logs += float(np.sum((at[beside] / sd) ** 2))
     normal = normal_equations(white, [one.key for one in columns], logs, by_block=scores)
     _, g, a = normal.total
-    free = beside[np.abs(at[beside]) < limit * (1.0 - 1e-9)]
     share = np.zeros((len(columns), 0))
     aside = _cross(white, nuisances, len(columns))[:, beside] if len(beside) else np.zeros((len(columns), 0))
     joint = _joint(g, a, aside, nuisances, beside, at[beside], pull[beside])
-    if len(free) and len(columns):
-        cross = aside[:, np.isin(beside, free)]
-        inner = nuisances.a[np.ix_(free, free)] + np.diag(nuisances.sd[free] ** -2.0)
+    if len(beside) and len(columns):  # those at their limits too: which of them are is chance as well
+        inner = nuisances.a[np.ix_(beside, beside)] + np.diag(sd**-2.0)
         size = np.sqrt(np.diag(inner))
-        share = np.linalg.solve(inner / np.outer(size, size), (cross / size).T).T / size
-        a = a - share @ cross.T
+        share = np.linalg.solve(inner / np.outer(size, size), (aside / size).T).T / size
+        a = a - share @ aside.T
     parts = normal.g.sum(axis=0) if scores else None
-    if parts is not None and len(free) and len(columns):
-        parts = parts - _by_block(white, nuisances, normal)[:, free] @ share.T
+    if parts is not None and len(beside) and len(columns):
+        parts = parts - _by_block(white, nuisances, normal)[:, beside] @ share.T
     return Fit(inside, cost_of(normal), normal, scope, g, a, at, joint, parts)
 
 
@@ -152,6 +150,26 @@ def _joint(
     pull = np.concatenate((g + aside @ at, all_of))
     far = np.full(len(g), np.inf)
     return whole, pull, np.concatenate((far, nuisances.sd[beside])), np.concatenate((far, nuisances.limit[beside]))
+
+
+def lost(fit: Fit, name: str) -> float:
+    """Rise of the cost without an effect, to second order: the others and the nuisances, within their limits, give way.
+
+    0 where the effect has no neutral value to go to.
+    """
+    whole, pull, sd, limit = fit.joint
+    mine = np.array([i for i, (effect, _) in enumerate(fit.parameters) if effect == name], dtype=np.int64)
+    shift = [
+        float(EFFECTS[effect].parameter(parameter).neutral) - float(fit.model[effect][parameter])
+        for effect, parameter in (fit.parameters[i] for i in mine)
+    ]
+    if not np.isfinite(shift).all():
+        return 0.0
+    rest, far = np.setdiff1d(np.arange(len(pull)), mine), np.array(shift)
+    cross = whole[np.ix_(rest, mine)] @ far
+    without = bounded(whole[np.ix_(rest, rest)], pull[rest] - cross, sd[rest], limit[rest])[1]
+    there = float(2.0 * pull[mine] @ far - far @ whole[np.ix_(mine, mine)] @ far)
+    return max(bounded(whole, pull, sd, limit)[1] - without - there, 0.0)
 
 
 CLEAR = 3.0

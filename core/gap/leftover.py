@@ -10,15 +10,34 @@ from core.gap.explain import Search
 from core.gap.fit import refit
 from core.gap.selection import Found
 from core.gap.types import Unexplained
-from core.gap.unknown import CHANCE, SURELY, depends_on, rest_of, strangeness, stream_of, touching, words
+from core.gap.unknown import CHANCE, LEFTOVER, depends_on, rest_of, strange, strangeness, stream_of, touching, words
 
 
 def chance_of_unknown(found: Search) -> float:
     """Probability that something is at work that no list has."""
     best = 0.0
     for scope, one in zip(("wheels", "body")[-len(found.links) :], found.links, strict=True):
-        best = max(best, SURELY if one.unknown is not None else strangeness(found.rests[scope], _bar(found, one)))
+        explained = sum(one.earned.values())
+        if one.unknown is not None:
+            best = max(best, strange(one.unknown[1], np.inf, CHANCE, explained))
+        else:
+            best = max(best, strangeness(found.rests[scope], _bar(found, one), explained), inexact(one))
     return best
+
+
+def inexact(one: Found) -> float:
+    """Probability that a link's model only stands in for something else: by what it leaves beside what it explains."""
+    n, c = float(one.fit.normal.n.sum()), float(one.fit.normal.c.sum())
+    explained = sum(one.earned.values())
+    if c < LOUD * n or explained <= 0.0:
+        return 0.0
+    share = (c - n) / (c - n + explained)
+    return 1.0 / (1.0 + (HALF / max(share, 1e-9)) ** 4)
+
+
+LOUD, HALF = 1.5, 0.3
+"""Mean square from which a rest is no matter of noise; and its share of all, explained and not, that makes a model as
+likely as not to be another's stand-in."""
 
 
 def _bar(found: Search, one: Found) -> float:
@@ -32,6 +51,7 @@ def unknown_of(found: Search, material: Sequence[str]) -> tuple[Unexplained | No
     doubt: dict[str, float] = {}
     best: tuple[float, Unexplained] | None = None
     for scope, one in zip(("wheels", "body")[-len(found.links) :], found.links, strict=True):
+        doubt |= {name: inexact(one) for name in one.fit.model if name in material}
         if one.unknown is not None:
             shape, gain = one.unknown
             told = Unexplained(stream_of(shape), depends_on(shape), words(shape, gain, 1.0), 1.0)
@@ -43,7 +63,7 @@ def unknown_of(found: Search, material: Sequence[str]) -> tuple[Unexplained | No
         shape = rest_shape
         stream = stream_of(shape)
         suspects = [name for name in touching(shape, list(one.fit.model)) if name in material]
-        if gain <= _bar(found, one):
+        if gain <= max(_bar(found, one), LEFTOVER * sum(one.earned.values())):
             continue
         if suspects:
             rest = {name: values for name, values in one.fit.model.items() if name not in suspects}
@@ -53,7 +73,7 @@ def unknown_of(found: Search, material: Sequence[str]) -> tuple[Unexplained | No
             lost = bare.cost - one.fit.cost
             heat = 2.0 * (1.0 + 0.01 * lost)
             stand_in = 1.0 / (1.0 + float(np.exp(np.clip((lost - alone - gain * 0.5) / heat, -40.0, 40.0))))
-            doubt |= dict.fromkeys(suspects, stand_in)
+            doubt |= {name: max(stand_in, doubt[name]) for name in suspects}
             if stand_in > 0.5 and shape_again is not None:
                 shape, gain, stream = shape_again, alone, stream_of(shape_again)
         excess = max(found.rests[scope].excess.get(stream, gain), gain)

@@ -38,8 +38,8 @@ from core.simulation._batch_numba import Outputs
 Array = npt.NDArray[np.float64]
 Model = dict[str, dict[str, float | str]]
 
-BLOCK = 10.0
-"""Length of a block of time [s]."""
+BLOCK = 5.0
+"""Length of a block of time [s]: longer than a window, which nothing of the pose outlasts."""
 HUBER = 5.0
 """A residual beyond so many sigma counts linearly: edges and outliers must not outweigh everything else."""
 

@@ -68,7 +68,8 @@ def limits(keys: Sequence[str]) -> Array:
 def bounded(a: Array, g: Array, sd: Array, limit: Array) -> tuple[Array, float]:
     """x that minimises x'Ax - 2g'x + sum (x/sd)² with abs(x) <= limit, and by how much that lies below x = 0.
 
-    sd, limit: infinite for what is free. Active set: bounds are met one after the other, and let go of again.
+    sd, limit: infinite for what is free. Bounds are met all at once and let go of again, mostly right within a few
+    rounds; else one after the other, which is slower and always right.
     """
     n = len(g)
     if n == 0:
@@ -91,5 +92,30 @@ def bounded(a: Array, g: Array, sd: Array, limit: Array) -> tuple[Array, float]:
         if not loose.any():
             break
         held &= ~loose
+    else:
+        at = _one_by_one(scaled, target, top, np.clip(at, -top, top))
     at = np.clip(at, -top, top)
     return at / size, float(2.0 * target @ at - at @ scaled @ at)
+
+
+def _one_by_one(a: Array, g: Array, top: Array, at: Array) -> Array:
+    """x that minimises x'Ax - 2g'x with abs(x) <= top, from a point inside: primal active set, one bound at a time."""
+    held = np.abs(at) >= top
+    for _ in range(10 * len(g)):
+        free = np.flatnonzero(~held)
+        step = np.linalg.solve(a[np.ix_(free, free)], g[free] - a[free] @ at) if len(free) else np.zeros(0)
+        room = np.where(step > 0.0, top[free] - at[free], top[free] + at[free])
+        share = np.where(np.abs(step) > 0.0, room / np.maximum(np.abs(step), 1e-300), np.inf)
+        nearest = int(np.argmin(share)) if len(free) else -1
+        if nearest >= 0 and share[nearest] < 1.0:
+            at[free] += share[nearest] * step
+            at[free[nearest]] = np.sign(step[nearest]) * top[free[nearest]]
+            held[free[nearest]] = True
+            continue
+        at[free] += step
+        inwards = np.where(held, -(g - a @ at) * np.sign(at), -np.inf)
+        loosest = int(np.argmax(inwards))
+        if inwards[loosest] <= 1e-9 * (1.0 + np.abs(g[loosest])):
+            break
+        held[loosest] = False
+    return at

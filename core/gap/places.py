@@ -58,7 +58,7 @@ def _patches(problem: Problem, bodies: list[Outputs]) -> list[Candidate]:
     b, a = np.zeros(shape), np.zeros(shape)
     np.add.at(b, index, score)
     np.add.at(a, index, info)
-    found: list[tuple[float, Candidate]] = []
+    found: list[tuple[float, Disc]] = []
     for radius in RADII:
         reach = int(np.ceil(radius / cell))
         if reach > max(shape):
@@ -70,10 +70,47 @@ def _patches(problem: Problem, bodies: list[Outputs]) -> list[Candidate]:
         gain = 2.0 * slip * inside_b - slip**2 * inside_a
         at = np.unravel_index(int(np.argmax(gain)), shape)
         place = low + cell * np.array(at)
-        start = {"x": float(place[0]), "y": float(place[1]), "radius": radius, "slip": float(slip[at])}
-        found.append((float(gain[at]), Candidate("slip_patch", start, ("x", "y", "radius", "slip"), secant=True)))
+        found.append((float(gain[at]), (float(place[0]), float(place[1]), radius)))
     found.sort(key=lambda pair: -pair[0])
-    return [one for gain, one in found[:PATCHES] if gain > 0.0]
+    rough = [disc for gain, disc in found[:REFINED] if gain > 0.0]
+    fine = sorted((_moved(disc, xy, score, info) for disc in rough), key=lambda pair: -pair[0])
+    names = ("x", "y", "radius", "slip")
+    starts = [dict(zip(names, (*disc, _slip(disc, xy, score, info)[1]), strict=True)) for _, disc in fine]
+    return [Candidate("slip_patch", one, names, secant=True) for one in starts[:PATCHES]]
+
+
+Disc = tuple[float, float, float]
+REFINED = 6
+"""So many discs of the grid have their edges moved over the points themselves."""
+MOVES = (0.2, 0.1, 0.05, 0.025, 0.012, 0.006)
+"""By so much [m], one after the other."""
+
+
+def _slip(disc: Disc, xy: Array, score: Array, info: Array) -> tuple[float, float]:
+    """What a disc brings at its best slip, and that slip."""
+    inside = (xy[:, 0] - disc[0]) ** 2 + (xy[:, 1] - disc[1]) ** 2 < disc[2] ** 2
+    b, a = float(score @ inside), float(info @ inside)
+    slip = float(np.clip(b / max(a, 1.0), *SLIPS))
+    return 2.0 * slip * b - slip**2 * a, slip
+
+
+def _moved(disc: Disc, xy: Array, score: Array, info: Array) -> tuple[float, Disc]:
+    """A disc whose sides have been moved while that brings more."""
+    best = _slip(disc, xy, score, info)[0]
+    for step in MOVES:
+        better = True
+        while better:
+            better = False
+            for dx, dy, dr in EDGES:
+                tried = (
+                    disc[0] + 0.5 * step * dx,
+                    disc[1] + 0.5 * step * dy,
+                    max(disc[2] + 0.5 * step * dr, 0.02),
+                )
+                gain = _slip(tried, xy, score, info)[0]
+                if gain > best + 1.0:
+                    best, disc, better = gain, tried, True
+    return best, disc
 
 
 def _slip_scores(problem: Problem, world: World, body: Outputs) -> tuple[Array, Array, Array]:
@@ -85,7 +122,7 @@ def _slip_scores(problem: Problem, world: World, body: Outputs) -> tuple[Array, 
         predicted = world.channel(body, "imu.gz")[0]
         sigma = imu_sigma(world, "imu.gz", body, problem.floor)
         far = world.readings["imu.gz"] - predicted
-        xy.append(np.column_stack((np.interp(t, stamps, path[:, 0]), np.interp(t, stamps, path[:, 1]))))
+        xy.append(_places(world, body, t))
         score.append(-predicted * far / sigma**2)
         info.append((predicted / sigma) ** 2)
     if all(name in world.readings for name in ("truth.x", "truth.y", "truth.theta")):
@@ -101,10 +138,18 @@ def _slip_scores(problem: Problem, world: World, body: Outputs) -> tuple[Array, 
         fine = ~restarted & (length > 1e-6) & (length < 1.0)
         along = np.einsum("ij,ij->i", seen - moved, moved) / np.maximum(length, 1e-9)
         variance = 2.0 * problem.floor.sigma["truth.x"] ** 2
-        xy.append(path[chosen][1:][fine])
+        xy.append(_places(world, body, 0.5 * (t[::step][1:] + t[::step][:-1]))[fine])
         score.append((-length * along / variance)[fine])
         info.append((length**2 / variance)[fine])
     return np.concatenate(xy), np.concatenate(score), np.concatenate(info)
+
+
+def _places(world: World, body: Outputs, t: Array) -> Array:
+    """(N, 2) where the robot was: by truth, where there is some, for the path as predicted strays in a patch."""
+    if "truth.x" in world.readings and "truth.y" in world.readings:
+        at = world.times["truth.x"]
+        return np.column_stack([np.interp(t, at, world.readings[name]) for name in ("truth.x", "truth.y")])
+    return np.column_stack((np.interp(t, world.stamps, body.x[0]), np.interp(t, world.stamps, body.y[0])))
 
 
 def _bumps(problem: Problem, bodies: list[Outputs]) -> list[Candidate]:
@@ -166,13 +211,13 @@ def polish(
     """
     best, lowest = dict(start), cost(start)
     rng = np.random.default_rng(0)
-    for away in rng.normal(0.0, 0.7 * steps[0], (SCATTERED, 3)):
-        x, y, radius = (float(best[name]) + float(d) for name, d in zip(("x", "y", "radius"), away, strict=True))
-        tried = {**best, "x": x, "y": y, "radius": max(radius, 0.02)}
-        value = cost(tried)
-        if value < lowest - 1.0:
-            best, lowest = tried, value
     for step in steps:
+        for away in rng.normal(0.0, 0.7 * step, (SCATTERED, 3)):
+            x, y, radius = (float(best[name]) + float(d) for name, d in zip(("x", "y", "radius"), away, strict=True))
+            tried = {**best, "x": x, "y": y, "radius": max(radius, 0.02)}
+            value = cost(tried)
+            if value < lowest - 1.0:
+                best, lowest = tried, value
         for _ in range(2):
             moved, back = False, set[tuple[int, int, int]]()
             for dx, dy, dr in EDGES:
@@ -193,8 +238,8 @@ def polish(
     return best
 
 
-SCATTERED = 16
-"""Discs tried by chance around the first, before its edges are moved."""
+SCATTERED = 8
+"""Discs tried by chance around the best, before its edges are moved by each step."""
 EDGES = (
     (1, 0, 1), (1, 0, -1), (-1, 0, 1), (-1, 0, -1), (0, 1, 1), (0, 1, -1), (0, -1, 1), (0, -1, -1),
     (0, 0, 1), (0, 0, -1), (1, 1, 0), (1, -1, 0), (-1, 1, 0), (-1, -1, 0), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0),

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from core.effects import EFFECTS
 from core.gap.candidates import SEARCHED, Candidate
 from core.gap.discrepancy import flaws
-from core.gap.fit import Fit, fit_at, parameters_of, refit, with_trifles, without
+from core.gap.fit import Fit, fit_at, lost, parameters_of, refit, with_trifles, without
 from core.gap.generic import TRIFLE, Shape
 from core.gap.linear import Model, Problem, cost_at, linearised, nuisances_of, secants_of, with_floor
 from core.gap.places import placed, polish
@@ -101,6 +101,7 @@ def search(
             local, brings = _put(problem, fit, scope)
             fresh, gain = [*fresh, *local], np.concatenate((gain, brings))
         gains = _best_of(fresh, gain)
+        worth = max(worth, BESIDE * unknown[1]) if unknown is not None else worth
         chosen = _worthy(problem, fit, screen, (fresh, gain), worth, tolerated)
         fits = [
             (one.effect, refit(problem, {**fit.model, one.effect: dict(one.start)}, scope, BRIEF)) for one in chosen
@@ -131,7 +132,7 @@ def search(
         problem = with_floor(problem, best.model)
         fit = refit(problem, best.model, scope)
     problem, fit = _ended(problem, fit, [*tried, *aside], scope)
-    return Found(fit, problem, tuple(steps), gains, _earned(problem, fit, scope), unknown, tolerated, sight)
+    return Found(fit, problem, tuple(steps), gains, _earned(problem, fit, scope, steps), unknown, tolerated, sight)
 
 
 def _fresh(tried: Sequence[Candidate], fit: Fit, unknown: tuple[Shape, float] | None) -> list[Candidate]:
@@ -142,8 +143,8 @@ def _fresh(tried: Sequence[Candidate], fit: Fit, unknown: tuple[Shape, float] | 
 
 def _ended(problem: Problem, fit: Fit, tried: Sequence[Candidate], scope: str) -> tuple[Problem, Fit]:
     """A patch's last centimetre, the nuisances beside the last model, and the scatter between its blocks."""
-    if "slip_patch" in fit.model and _loss(fit, "slip_patch") > POLISHED * fit.normal.n.sum():
-        fit = _polished(problem, fit, scope, (0.04, 0.02, 0.01, 0.005, 0.002))
+    if "slip_patch" in fit.model and lost(fit, "slip_patch") > POLISHED * fit.normal.n.sum():
+        fit = _polished(problem, fit, scope, (0.01, 0.005, 0.002))
     if not problem.nuisances.keys:
         problem, fit, _ = screened(problem, fit, [one for one in tried if one.effect not in fit.model], scope)
     return problem, fit_at(problem, fit.model, scope, scores=True)
@@ -193,6 +194,8 @@ def _put(problem: Problem, fit: Fit, scope: str) -> tuple[list[Candidate], Array
     return found, secants_of(without(white, problem.nuisances, fit.trifles), len(normal.keys))[own:]
 
 
+BESIDE = 0.25
+"""Beside an unknown cause an effect must bring this share of what its shape takes: no shape is the whole of a cause."""
 LIMITS = ("speed_limit", "accel_limit", "gyro_clip")
 
 
@@ -224,13 +227,19 @@ def _enough(
     is a little like it. A limit must bring what tolerated flaws of its channels would.
     """
     moved = [name for name in EFFECTS[effect].streams if name in left]
-    part = TAKES["wheels" if moved and moved[0] in WHEELS else "body"]
-    worth = max(worth, part * max((left[name] for name in moved), default=0.0))
+    worth = max(worth, _part_of(effect, left))
     if moved and all(name in crumbs for name in moved):
         worth = max(worth, ALIKE * min(crumbs[name] for name in moved))
     if effect in LIMITS:
         worth = max(worth, CRUMB * max((tolerated.get(name, 0.0) for name in EFFECTS[effect].streams), default=0.0))
     return gain >= worth
+
+
+def _part_of(effect: str, left: Mapping[str, float]) -> float:
+    """The part of what is left of its channels that an effect must take."""
+    moved = [name for name in EFFECTS[effect].streams if name in left]
+    part = TAKES["wheels" if moved and moved[0] in WHEELS else "body"]
+    return part * max((left[name] for name in moved), default=0.0)
 
 
 ALIKE = 0.1
@@ -252,18 +261,19 @@ def _masked(
 ) -> tuple[str, Fit] | None:
     """Two effects that hide each other: worth it only together."""
     gain, names = paired
-    if names is None or gain < 2.0 * worth:
+    if names is None or gain < 2.0 * max(worth, min(_part_of(name, _excess(fit)) for name in names)):
         return None
     starts = {one.effect: dict(one.start) for one in reversed(fresh) if one.effect in names}
     return "+".join(names), refit(problem, {**fit.model, **starts}, scope, BRIEF)
 
 
-def _earned(problem: Problem, fit: Fit, scope: str) -> dict[str, float]:
-    """Leaving each effect out in turn; of a smooth one by the fit's own equations."""
+def _earned(problem: Problem, fit: Fit, scope: str, steps: Sequence[Step]) -> dict[str, float]:
+    """Leaving each effect out in turn; of a smooth one by the fit's own equations, at most what it brought."""
     out = {}
     for name in fit.model:
         if EFFECTS[name].smooth:
-            out[name] = _loss(fit, name)
+            brought = [dict(step.gains)[name] for step in steps if step.action == f"add {name}"]
+            out[name] = min([lost(fit, name), *(gain for gain in brought if gain > 0.0)])
             continue
         rest = {k: v for k, v in fit.model.items() if k != name}
         out[name] = max(refit(problem, rest, scope, 2).cost - fit.cost, 0.0)
@@ -286,7 +296,7 @@ def _tolerated(screen: Screen, tried: Sequence[Candidate]) -> dict[str, float]:
     return {name: float(np.median(values)) if values else 0.0 for name, values in found.items()}
 
 
-def _polished(problem: Problem, fit: Fit, scope: str, steps: Sequence[float] = (0.12, 0.06, 0.03, 0.015)) -> Fit:
+def _polished(problem: Problem, fit: Fit, scope: str, steps: Sequence[float] = (0.06, 0.03, 0.015)) -> Fit:
     """A slip patch whose edges have been moved one by one, then refitted."""
 
     def cost(values: Mapping[str, float | str]) -> float:
@@ -360,29 +370,10 @@ def _drop(problem: Problem, fit: Fit, scope: str, worth: float, least: int = 2) 
         if len(fit.model) < least:
             break
         rest: Model = {k: v for k, v in fit.model.items() if k != name}
-        if _loss(fit, name) > 50.0 * WORTH:
+        if lost(fit, name) > 50.0 * WORTH:
             continue
         without = refit(problem, rest, scope)
         if without.cost - fit.cost < worth:
             fit = without
             dropped.append(name)
     return fit, dropped
-
-
-def _loss(fit: Fit, name: str) -> float:
-    """Rise of the cost without an effect, its parameters at neutral, to second order: a lower bound for most."""
-    a = fit.a
-    mine = [i for i, (effect, _) in enumerate(fit.parameters) if effect == name]
-    rest = [i for i in range(len(a)) if i not in mine]
-    info = a[np.ix_(mine, mine)]
-    if rest:
-        cross = a[np.ix_(mine, rest)]
-        info = info - cross @ np.linalg.pinv(a[np.ix_(rest, rest)], rcond=1e-10) @ cross.T
-    shift = []
-    for i in mine:
-        effect, parameter = fit.parameters[i]
-        neutral = float(EFFECTS[effect].parameter(parameter).neutral)
-        if not np.isfinite(neutral):
-            return 0.0
-        shift.append(float(fit.model[effect][parameter]) - neutral)
-    return float(np.array(shift) @ info @ np.array(shift))

@@ -166,13 +166,24 @@ STEEP = 2.0
 """How fast doubt turns into belief, per e-fold of what a shape brings over what it must."""
 
 
-def strangeness(rest: Rest, bar: float = CHANCE) -> float:
-    """Probability that something unlisted of material size is left. bar: drop of deviance that a shape must bring."""
-    best = -np.inf
-    for shape, gain in rest.shapes:
-        size = rest.sizes.get(shape.key, 0.0)
-        best = max(best, min(np.log(max(gain, 1e-9) / bar), 2.0 * np.log(max(size, 1e-9))))
-    return float(SURELY / (1.0 + np.exp(-STEEP * np.clip(best, -10.0, 10.0))))
+LEFTOVER = 0.03
+"""Of what listed effects explain of a link, a rest below this share is how inexact they are: a sixth of their size."""
+
+
+def strange(gain: float, size: float, bar: float, explained: float) -> float:
+    """Probability that a shape is something unlisted: by its drop of deviance over what it must bring, by its size over
+    what is immaterial, and by its share of what listed effects explain beside it.
+    """
+    share = gain / max(gain + explained, 1e-9)
+    over = min(np.log(max(gain, 1e-9) / bar), 2.0 * np.log(max(size, 1e-9)), np.log(max(share, 1e-9) / LEFTOVER))
+    return float(SURELY / (1.0 + np.exp(-STEEP * np.clip(over, -10.0, 10.0))))
+
+
+def strangeness(rest: Rest, bar: float = CHANCE, explained: float = 0.0) -> float:
+    """Probability that something unlisted of material size is left. bar: drop of deviance that a shape must bring;
+    explained: what listed effects have taken."""
+    every = [strange(gain, rest.sizes.get(shape.key, 0.0), bar, explained) for shape, gain in rest.shapes]
+    return max(every, default=0.0)
 
 
 SURELY = 0.98
