@@ -16,7 +16,8 @@ A viewer is a key that the page invents (1 to 64 of A-Z a-z 0-9 _ -) and puts in
 It has one cursor, whatever number of browsers show it, and lives as long as anybody looks or listens.
 
 Page to scene: JSON text, any of
-    {"t": 12.5, "playing": true, "speed": 2, "follow": true, "methods": ["fused"] | null, "theme": "dark"}
+    {"t": 12.5, "playing": true, "speed": 2, "follow": true, "methods": ["fused"] | null, "theme": "dark",
+     "trail": "method" | "speed" | "gap"}
 t is seconds of the run. While `playing`, the server moves the robots by its own clock, so a page sends a word when
 something changes and about once a second to stay in step; dragging sends t at up to 30 Hz. A page that leaves pauses.
 Scene to page: {"type": "state", "by": "scene"|"page"|"panel", "clients": 1, "t": ..., "playing": ..., "poses": {...}}

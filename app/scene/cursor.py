@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from app.scene.style import THEMES
+from app.scene.style import THEMES, TRAILS
 from core.errors import ParameterError
 
 MAX_SPEED = 1000.0
@@ -19,7 +19,8 @@ MAX_METHODS = 64
 class Cursor:
     """t [s] was right at `stamp` [s, monotonic clock]; while playing, time runs on from there at `speed`.
 
-    `methods` are those shown, None for all; `follow` keeps the camera with the leading robot.
+    `methods` are those shown, None for all; `follow` keeps the camera with the leading robot; `trail`, of a live run:
+    what the leading path is coloured by.
     """
 
     t: float
@@ -29,6 +30,7 @@ class Cursor:
     follow: bool = False
     methods: tuple[str, ...] | None = None
     theme: str = "light"
+    trail: str = "method"
 
     def now(self, clock: float, t0: float, t1: float) -> float:
         """The run's time at the monotonic `clock`, held within the run."""
@@ -47,11 +49,13 @@ class Cursor:
 
 
 def check_change(message: object) -> dict[str, Any]:
-    """A change as it came over the wire, any of t, playing, speed, follow, methods, theme; else ParameterError."""
+    """A change as it came over the wire, any of t, playing, speed, follow, methods, theme, trail; else
+    ParameterError."""
     if not isinstance(message, dict):
         raise ParameterError("a cursor message is an object", expected="object", found=type(message).__name__)
     checks = {
         "t": _number, "speed": _speed, "playing": _flag, "follow": _flag, "methods": _methods, "theme": _theme,
+        "trail": _trail,
     }  # fmt: skip
     unknown = sorted(set(message) - set(checks))
     if unknown:
@@ -89,6 +93,12 @@ def _flag(key: str, value: object) -> bool:
 def _theme(key: str, value: object) -> str:
     if value not in THEMES:
         raise _wrong(key, f"one of {', '.join(THEMES)}", value)
+    return str(value)
+
+
+def _trail(key: str, value: object) -> str:
+    if value not in ("method", *TRAILS):
+        raise _wrong(key, f"one of method, {', '.join(TRAILS)}", value)
     return str(value)
 
 

@@ -5,6 +5,7 @@ Shared nodes as in `build`, but a method's path is in three pieces, so that what
 /world/methods/{method}/{light,dark}/path        all but the newest poses; drawn anew once a minute or so
 /world/methods/{method}/{light,dark}/recent      poses since then, drawn anew every few seconds
 /world/methods/{method}/{light,dark}/newest      the last few, drawn anew LINES times a second
+/world/trail/{speed,gap}                         the leading path in colours, drawn anew twice a second if looked at
 /world/ranges                                    last range of each beacon, as long as measured, towards the robot
 
 Whoever looks sees the newest moment: there is no cursor in time. When the robot leaves the floor, a larger one is laid.
@@ -18,20 +19,24 @@ from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 import numpy as np
+import numpy.typing as npt
 import viser
 
 from app.scene import build, shapes
 from app.scene.data import Floats, SceneData, ScenePath, Spread
 from app.scene.servers import Scene
-from app.scene.style import BEACON, STROKES, THEMES, primary, slug, stroke
+from app.scene.style import BEACON, STROKES, THEMES, TRAILS, primary, slug, stroke
 from core.run import RunMeta
 
-COLUMNS = ("t", "x", "y", "theta", "sd_x", "sd_y", "cov_xy")
+COLUMNS = ("t", "x", "y", "theta", "sd_x", "sd_y", "cov_xy", "gap")
 MOST = 16_384  # poses of a method that are kept; the older, the fewer
 UNTOUCHED = 2_048  # the newest are all kept
 NEWEST, RECENT = 48, 1_024  # poses after which a piece goes over into the one before it
 LINES = 8.0  # drawings of lines per second
+TRAIL_EVERY, TRAIL_POINTS = 0.5, 800  # s between two drawings of a coloured trail, its points
+SPEED_OVER = 0.2  # s over which a speed is told: of neighbours it would be noise
 RANGE_HOLDS = 1.0  # s
+TRAIL_WIDTH = 6.0
 ROOM = 6.0  # m of floor at least
 
 Message = Mapping[str, Any]
@@ -79,9 +84,19 @@ class Growing:
 
     def path(self) -> ScenePath:
         """The path so far, as views."""
-        t, x, y, theta, sd_x, sd_y, cov = self._block[:, : self._rows]
+        t, x, y, theta, sd_x, sd_y, cov, _ = self._block[:, : self._rows]
         spread = Spread(sd_x, sd_y, np.nan_to_num(cov)) if np.isfinite(sd_x[-1:]).any() else None
         return ScenePath(self.method, self.label, t, x, y, theta, spread)
+
+    def trail(self, mode: str) -> tuple[Floats, Floats, Floats]:
+        """x, y and what colours the path there: speed [m/s], or how far the chain was over its floor; thinned."""
+        rows = np.unique(np.linspace(0, max(self._rows - 1, 0), min(TRAIL_POINTS, self._rows)).astype(np.int64))
+        t, x, y, *_, gap = self._block[:, rows]
+        if mode == "gap":
+            return x, y, gap
+        back = np.minimum(np.searchsorted(t, t - SPEED_OVER), np.maximum(np.arange(len(t)) - 1, 0))
+        passed = np.maximum(t - t[back], 1e-9)
+        return x, y, np.where(t > t[back], np.hypot(x - x[back], y - y[back]) / passed, 0.0)
 
 
 class LiveScene(Scene):
@@ -93,7 +108,8 @@ class LiveScene(Scene):
         self._ranges: dict[str, tuple[float, float]] = {}
         self._ends: dict[str, tuple[float, float]] = {}  # where each path's drawing ends
         self._themes: set[str] = set()  # those that somebody sees
-        self._drawn_at = 0.0
+        self._drawn_at = self._trail_at = 0.0
+        self._gap = np.nan  # worst excess of the links, as last heard
         self._lines: dict[str, viser.LineSegmentsHandle] = {}
         self._count = self._floors = 0
         start = SceneData(
@@ -116,6 +132,8 @@ class LiveScene(Scene):
                 for variant in THEMES:
                     name = f"/world/methods/{slug(method)}/{variant}"
                     self._server.scene.add_frame(name, show_axes=False, visible=False)
+            for mode in TRAILS:
+                self._server.scene.add_frame(f"/world/trail/{mode}", show_axes=False, visible=False)
         return sizes
 
     def _bring(self, message: Message) -> None:
@@ -128,10 +146,13 @@ class LiveScene(Scene):
         if message["type"] not in ("snapshot", "update") or message.get("run_id", self.data.run_id) != self.data.run_id:
             return
         labels = {m["method"]: m["label"] for m in message.get("methods", ())}
-        for method, path in message["paths" if message["type"] == "snapshot" else "trail"].items():
-            self._path(method, labels).extend(path)
+        snapshot = message["type"] == "snapshot"
+        for method, path in message["paths" if snapshot else "trail"].items():
+            self._path(method, labels).extend({**path, "gap": [None if snapshot else self._gap] * len(path["t"])})
         for method, pose in message.get("poses", {}).items():
-            self._path(method, labels).extend({name: [pose.get(name)] for name in COLUMNS})
+            self._path(method, labels).extend({name: [{**pose, "gap": self._gap}.get(name)] for name in COLUMNS})
+        told = [link["excess"] for link in message.get("links", ()) if link["excess"] is not None]
+        self._gap = max(told, default=self._gap)
         for name, last in message["ranges"].items():
             self._ranges[name] = (last["t"], last["range"])
         paths = tuple(g.path() for g in self._paths.values() if g.path().t.size)
@@ -142,6 +163,7 @@ class LiveScene(Scene):
             if self._due():
                 self._draw_paths()
                 self._draw_ranges()
+                self._draw_trails()
         for viewer in self._viewers.values():
             viewer.grow(self.data, self.sizes)
 
@@ -214,7 +236,7 @@ class LiveScene(Scene):
             name = f"/world/methods/{slug(path.method)}/{variant}"
             self._replace(f"{name}/{piece}", segments, line.colour(variant), line.width)
 
-    def _replace(self, name: str, segments: Floats, colour: tuple[int, int, int], width: float) -> None:
+    def _replace(self, name: str, segments: Floats, colour: Any, width: float) -> None:
         """Lines in place of those of that name; each under a new one, as browsers keep what they have under the old."""
         before = self._lines.pop(name, None)
         self._count += 1
@@ -224,12 +246,39 @@ class LiveScene(Scene):
         if before is not None:
             before.remove()
 
+    def _draw_trails(self) -> None:
+        """The leading path in colours, for those who look at it so."""
+        wanted = {viewer.cursor.trail for viewer in self._viewers.values()} & set(TRAILS)
+        leader = primary([path.method for path in self.data.paths])
+        now = time.monotonic()
+        if not wanted or leader is None or now - self._trail_at < TRAIL_EVERY:
+            return
+        self._trail_at = now
+        for mode in wanted:
+            x, y, value = self._paths[leader].trail(mode)
+            segments, colours = coloured(x, y, value, mode, self.sizes.level(len(self.data.paths) + 3))
+            if len(segments):
+                self._replace(f"/world/trail/{mode}/line", segments, colours, TRAIL_WIDTH)
+
     def _draw_ranges(self) -> None:
         segments = range_lines(self.data, self._ranges)
         if len(segments):
             self._replace("/world/ranges", segments, BEACON, 1.0)
         elif (before := self._lines.pop("/world/ranges", None)) is not None:
             before.remove()
+
+
+def coloured(x: Floats, y: Floats, value: Floats, mode: str, z: float) -> tuple[Floats, npt.NDArray[np.uint8]]:
+    """(M, 2, 3) pieces of the path, and their colours: speed from rest to the fastest, gap from the floor to four times
+    it or the worst, as on the map. Pieces where the value is unknown are left out."""
+    lo, least = (1.0, 4.0) if mode == "gap" else (0.0, 0.1)
+    points = np.column_stack((x, y, np.full(len(x), z)))
+    known = np.isfinite(points[1:]).all(axis=1) & np.isfinite(points[:-1]).all(axis=1) & np.isfinite(value[1:])
+    pieces, value = np.stack((points[:-1], points[1:]), axis=1)[known], value[1:][known]
+    scale = TRAILS[mode]
+    top = max(least, float(value.max())) if len(value) else least
+    steps = np.clip((len(scale) * (value - lo) / (top - lo)).astype(np.int64), 0, len(scale) - 1)
+    return pieces.astype(np.float32), np.repeat(shapes.linear(scale)[steps][:, None], 2, axis=1)
 
 
 def range_lines(data: SceneData, ranges: Mapping[str, tuple[float, float]]) -> Floats:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -177,3 +178,8 @@ def camera(extent: Extent) -> tuple[tuple[float, float, float], tuple[float, flo
             break
     position = target + reach * back
     return (float(position[0]), float(position[1]), float(position[2])), (float(target[0]), float(target[1]), 0.0)
+
+
+def linear(colours: Sequence[tuple[int, int, int]]) -> npt.NDArray[np.uint8]:
+    """(N, 3) colours as lines of many colours are given them: of single points viser takes linear light."""
+    return np.asarray(255.0 * (np.array(colours) / 255.0) ** 2.2).astype(np.uint8)

@@ -70,6 +70,19 @@ THEME: dict[str, Theme] = {
 GAP = ((140, 150, 158), (224, 160, 96), (232, 148, 66), (226, 124, 40), (206, 92, 22), (160, 60, 10), (104, 34, 4))
 """Colours of a path by the gap over its floor: the steps of `app.figures.gap.LEVELS`."""
 
+SPEED = (
+    (150, 158, 165),
+    (128, 147, 167),
+    (107, 136, 169),
+    (86, 125, 170),
+    (64, 114, 172),
+    (32, 103, 174),
+    (0, 92, 178),
+)
+"""Colours of a path by its speed, from rest to the fastest so far."""
+
+TRAILS: dict[str, tuple[Rgb, ...]] = {"speed": SPEED, "gap": GAP}
+
 # Whose robot the camera follows, and which one stands solid: the best claim first.
 PRECEDENCE = ("fused", "smoothed", "published", "encoders+gyro", "encoders", "beacon", "truth")
 

@@ -20,7 +20,7 @@ from app.scene import build, shapes
 from app.scene.cursor import Cursor
 from app.scene.data import DEFAULT_TRACK_WIDTH, FIXES, SceneData, ScenePath
 from app.scene.panel import Panel
-from app.scene.style import GAP, THEMES, primary, slug
+from app.scene.style import GAP, THEMES, TRAILS, primary, slug
 
 TICK = 1 / 30  # s
 OVERLAY, SIMULATED = (124, 91, 176), (128, 138, 148)
@@ -59,6 +59,11 @@ class Client:
         self._world = scene.add_frame("/world", show_axes=False)
         for variant in THEMES:
             self._variants[variant].append(scene.add_frame(f"/world/ground/{variant}", show_axes=False, visible=False))
+        self._trails = {
+            mode: scene.add_frame(f"/world/trail/{mode}", show_axes=False, visible=False)
+            for mode in TRAILS
+            if data.live
+        }
         for path in data.paths:
             self._switch(path.method)
         if len(data.fixes):
@@ -105,6 +110,8 @@ class Client:
             )
         for method, frame in self._shown.items():
             frame.visible = cursor.shows(method)
+        for mode, frame in self._trails.items():
+            frame.visible = cursor.trail == mode
         if cursor.theme != self._theme or leader != self._leader:
             self._build_robots(cursor.theme, leader)
         for method, robot in self._robots.items():
@@ -165,8 +172,7 @@ class Client:
             pieces = np.stack((points[:-1], points[1:]), axis=1)
             colours: Any = SIMULATED if name == "simulated" else OVERLAY
             if overlay.levels is not None:
-                linear = 255.0 * (np.array(GAP) / 255.0) ** 2.2  # of single points the viewer takes linear light
-                colours = np.repeat(linear.astype(np.uint8)[overlay.levels[1:]][:, None], 2, axis=1)
+                colours = np.repeat(shapes.linear(GAP)[overlay.levels[1:]][:, None], 2, axis=1)
             width = 3.0 if overlay.levels is None else 6.0
             node = f"/world/overlay/{name}"
             scene.add_line_segments(f"{node}/path", pieces, colours, thickness=width, thickness_units="screen")
@@ -285,7 +291,7 @@ class Viewer:
             self.cursor = self.cursor.moved({"t": self._data.t0}, time.monotonic(), self._data.t0, self._data.t1)
         for client in self._clients.values():
             with client.handle.atomic():
-                if (before.theme, before.methods) != (self.cursor.theme, self.cursor.methods):
+                if any(getattr(before, k) != getattr(self.cursor, k) for k in ("theme", "methods", "trail")):
                     client.dress(self.cursor)
         self._tick()
         self._tell(by, source)
@@ -321,6 +327,7 @@ class Viewer:
             "follow": self.cursor.follow,
             "methods": methods,
             "theme": self.cursor.theme,
+            "trail": self.cursor.trail,
             "live": self._data.live,
             "leader": primary([m for m in methods if m != FIXES]),
             "robot_scale": round(self._sizes.robot_scale, 2),

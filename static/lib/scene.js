@@ -1,7 +1,7 @@
 // The 3D view in a page: an iframe of its own viewer, moved by the page's time cursor.
 //
 //   const scene = mountScene(container, runId, clock, { methods: ["fused", "encoders"] });
-//   scene.setMethods([...]) | scene.reload() | scene.address | scene.state | scene.dispose()
+//   scene.setMethods([...]) | scene.setTrail("speed") | scene.reload() | scene.address | scene.state | scene.dispose()
 //   live: true shows the newest moment of a run that still goes on, and leaves all keys to the page (they drive).
 //
 // Events on `container`: "scene-ready" when the picture is there, "scene-problem" (detail: the problem) when it can't be;
@@ -17,13 +17,14 @@ const DRIFT = 0.12; // s of wall time between page and scene before a word is se
 const RETRY = [500, 1000, 2000, 5000, 10000]; // ms
 const SCENE_KEYS = new Set(["w", "a", "s", "d", "q", "e", "ArrowUp", "ArrowDown", "ArrowLeft", "ArrowRight", "Tab"]);
 
-export function mountScene(container, runId, clock, { methods = null, query = "", live = false } = {}) {
+export function mountScene(container, runId, clock, { methods = null, query = "", live = false, trail = "method" } = {}) {
   const viewer = newKey();
   const address = `/scene/${encodeURIComponent(runId)}/${viewer}/`;
   const note = document.createElement("p");
   let frame = null;
   let socket = null;
   let shown = methods;
+  let colouring = trail; // of the leading path of a live run: method, speed, gap
   let anchor = { t: clock.time, at: performance.now(), rate: 0 };
   let timer = 0;
   let retry = 0;
@@ -31,7 +32,7 @@ export function mountScene(container, runId, clock, { methods = null, query = ""
   let lonely = 0;
   let ready = false;
   let disposed = false;
-  const handle = { address, state: null, setMethods, reload, dispose };
+  const handle = { address, state: null, setMethods, setTrail, reload, dispose };
 
   note.setAttribute("role", "status");
   note.textContent = "Opening the 3D view …";
@@ -134,12 +135,17 @@ export function mountScene(container, runId, clock, { methods = null, query = ""
   }
 
   function sendAll() {
-    send({ theme: theme(), methods: shown });
+    send({ theme: theme(), methods: shown, trail: colouring });
     sendCursor();
   }
 
   function send(change) {
     if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(change));
+  }
+
+  function setTrail(name) {
+    colouring = name;
+    send({ trail: colouring });
   }
 
   // null: all. Names that the scene doesn't know are ignored there.

@@ -302,7 +302,7 @@ function remember(name, value) {
 
 function openScene() {
   scene?.dispose();
-  scene = mountScene($("#scene"), run.id, clock, { methods: shownMethods(), live: true });
+  scene = mountScene($("#scene"), run.id, clock, { methods: shownMethods(), live: true, trail: address.get("trail") ?? "method" });
 }
 
 function setView(name) {
@@ -313,6 +313,7 @@ function setView(name) {
 
 function setTrail(name) {
   view.setTrail(name);
+  scene?.setTrail(name);
   remember("trail", name === "method" ? "" : name);
   for (const button of document.querySelectorAll("#trail button")) button.setAttribute("aria-pressed", String(button.dataset.trail === name));
 }

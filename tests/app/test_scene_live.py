@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from scene_world import eventually
 
-from app.scene.live import MOST, Growing, LiveScene, range_lines
+from app.scene.live import MOST, Growing, LiveScene, coloured, range_lines
+from app.scene.shapes import linear
+from app.scene.style import GAP, SPEED
 from core.robot import RobotParams
 from core.run import RunMeta
 
@@ -98,6 +100,25 @@ def test_a_path_stays_within_its_memory_and_keeps_ends_and_newest() -> None:
     assert (np.diff(kept.t) > 0).all() and np.diff(kept.t)[-1000:].max() < 0.011
     growing.extend(path([1.0], [9.0]))  # late
     assert growing.path().x[-1] == pytest.approx(t[-1])
+
+
+def test_the_trail_is_coloured_by_speed_and_by_gap_for_who_asks(scene: LiveScene, feed: Feed) -> None:
+    scene.listen("v1", lambda state: None)
+    scene.change("v1", {"trail": "speed"})
+    for k in range(1, 41):  # 1 m/s, then twice as fast, while a link leaves its floor
+        links = [{"excess": 1.0 if k < 20 else 9.0}, {"excess": None}]
+        feed.tell(0.1 * k, 0.1 * min(k, 20) + 0.2 * max(k - 20, 0), links=links)
+    assert eventually(lambda: scene.data.t1 == pytest.approx(4.0))
+    assert eventually(lambda: any(name.startswith("/world/trail/speed") for name in scene._lines))
+    assert not any(name.startswith("/world/trail/gap") for name in scene._lines)
+    x, y, speed = scene.call(lambda: scene._paths["fused"].trail("speed"))
+    assert speed[10] == pytest.approx(1.0) and speed[-1] == pytest.approx(2.0)
+    pieces, colours = coloured(x, y, speed, "speed", 0.1)
+    assert pieces.shape == colours.shape == (40, 2, 3)
+    assert (colours[-1, 0] == linear(SPEED)[-1]).all() and (colours[10] == linear(SPEED)[3]).all()
+    x, y, gap = scene.call(lambda: scene._paths["fused"].trail("gap"))
+    pieces, colours = coloured(x, y, gap, "gap", 0.1)
+    assert len(pieces) == 39 and (colours[0] == linear(GAP)[0]).all() and (colours[-1] == linear(GAP)[-1]).all()
 
 
 def test_a_range_is_drawn_from_its_beacon_as_long_as_measured(scene: LiveScene, feed: Feed) -> None:
