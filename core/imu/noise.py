@@ -230,7 +230,7 @@ def _describe(curve: AllanCurve, data: _Data, best: _Model) -> NoiseFit:
     sd = wider * np.sqrt(np.maximum(np.diag(best.covariance), 0.0))
     shown = {ORDER[j]: Term(float(best.p[j]), float(best.p[j] * sd[i])) for i, j in enumerate(best.terms)}
     markov_tau = Term(best.markov_tau, best.markov_tau * float(sd[-1])) if best.markov_tau else Term()
-    notes = (_doubt(best.chi2, dof, float(wider)),) if poor else ()
+    notes: tuple[str, ...] = (_doubt(best.chi2, dof, float(wider)),) if poor else ()
     notes += tuple(f"{name} is not identifiable from this record" for name in ("N", "B", "K") if name not in shown)
     if not best.markov_tau:
         notes += ("a Gauss-Markov process is not identifiable from this record",)
