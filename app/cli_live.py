@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from core.run import Run
 
 TICK = 0.05  # s between two batches
+REST_TICK = 0.1  # and of a robot that stands
 SPEED_UP, TURN_UP = 1.0, 3.0  # m/s^2, rad/s^2: how fast the virtual robot's set-points follow the stick
 SLOW_DOWN = 2.0  # times as fast when it stops
 V_MAX, W_MAX = 0.8, 1.5
@@ -122,11 +123,12 @@ def _robot(options: argparse.Namespace) -> int:
     async def drive() -> None:
         began = time.monotonic()
         while options.seconds is None or robot.t < options.seconds:
-            until = robot.t + TICK
+            tick = REST_TICK if stick.stands else TICK
+            until = robot.t + tick
             await asyncio.sleep(max(began + until - time.monotonic(), 0.0))
             if time.monotonic() - began - until > 2.0:  # the machine slept
                 began = time.monotonic() - until
-            client.send(wire(robot.step(until, *stick.at(until))))
+            client.send(wire(robot.step(until, *stick.at(until, tick))))
 
     return asyncio.run(_until_ended(client, drive()))
 
@@ -147,13 +149,19 @@ class Stick:
         self._driven = self._driven or command is not None
         self._asked, self._until = ((command[0], command[1]), now + command[2]) if command else ((0.0, 0.0), now)
 
-    def at(self, t: float) -> tuple[float, float]:
+    @property
+    def stands(self) -> bool:
+        """Whether nothing is asked for and nothing moves."""
+        follows = self._scenario is None or self._driven
+        return follows and self._asked == (0.0, 0.0) and self._v == self._w == 0.0
+
+    def at(self, t: float, tick: float) -> tuple[float, float]:
         """Set-points at the end of the next tick."""
         if self._scenario is not None and not self._driven:
             self._v, self._w = self._scenario(t)
             return self._v, self._w
         v, w = self._asked if time.monotonic() < self._until else (0.0, 0.0)
-        self._v, self._w = _towards(self._v, v, SPEED_UP * TICK), _towards(self._w, w, TURN_UP * TICK)
+        self._v, self._w = _towards(self._v, v, SPEED_UP * tick), _towards(self._w, w, TURN_UP * tick)
         return self._v, self._w
 
 

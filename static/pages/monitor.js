@@ -214,6 +214,7 @@ function paint(now) {
   signals.draw(run.t);
   const pose = lead && poseOf(lead);
   root.dataset.t = run.t.toFixed(3);
+  root.dataset.poseT = pose ? pose.t.toFixed(3) : "";
   root.dataset.pose = pose ? [pose.x, pose.y, pose.theta].map((v) => (v ?? NaN).toFixed(3)).join(",") : "";
   if (now - figuresAt > FIGURES_EVERY) {
     figuresAt = now;
