@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,7 @@ FIRST_BLOWS = (0.12**2, 1.5**2, 0.15**2, 2.5**2)  # noise of blow, az, rates, pl
 SEEN = 0.2  # s, weight of that first guess
 DELAY_SD = 0.03  # s, between the streams
 APART, SURELY = 0.01, 4.0  # s, sigma: a delay that is worth a sentence
+LONG = 20_000  # IMU readings of a piece from which on a second thread is worth its while
 STRONGEST = 1e3  # m/s^2: beyond it a reading is a fault
 FLOOR_ACCEL, FLOOR_RATE = 0.05, 0.01  # m/s^2, rad/s: quieter is taken for this
 
@@ -117,8 +119,14 @@ class Detector:
         return (f"The IMU's stamps are {1e3 * abs(delay):.0f} ± {1e3 * sd:.0f} ms {way} against the wheels'.",)
 
     def _walk(self, piece: Run, flush: bool) -> tuple[Disturbance, ...]:
-        blows, stamps, last = self._blows(piece, flush)
-        rows = self._residuals(piece, flush)
+        if piece.imu is not None and len(piece.imu) > LONG:
+            with ThreadPoolExecutor(1) as aside:
+                felt = aside.submit(self._blows, piece, flush)
+                rows = self._residuals(piece, flush)
+                blows, stamps, last = felt.result()
+        else:
+            blows, stamps, last = self._blows(piece, flush)
+            rows = self._residuals(piece, flush)
         known = rows[:, self._r.R_KNOWN]
         place = np.searchsorted(stamps, known, "right")
         blow = np.concatenate(([self._last_blow], last))[place] if len(known) else np.zeros(0)
@@ -194,7 +202,7 @@ class Detector:
             return np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 4))
         t = np.concatenate([p[0] for p in parts])
         kind = np.concatenate([np.full(len(p[0]), p[1], np.int64) for p in parts])
-        order = np.lexsort((kind, t))
+        order = np.argsort(t, kind="stable")  # kinds stand in their order already
         return t[order], kind[order], np.ascontiguousarray(np.concatenate([p[2] for p in parts])[order])
 
     def _force(self, imu: ImuLog) -> Array:

@@ -37,6 +37,9 @@ from core.estimation.fusion.layout import (
     R_FIX,
     R_FIX_THETA,
     R_RANGE,
+    RANGE_FROM,
+    RANGE_LEAPT,
+    RANGE_ONSET,
     REFUSED,
     REFUSED_RANGES,
     REJECTED,
@@ -46,6 +49,7 @@ from core.estimation.fusion.layout import (
     STUBBORN,
     T_FIX,
     T_OFFSET,
+    T_RANGE,
     T_STRANGE,
     TAG_X,
     TAG_Y,
@@ -53,6 +57,7 @@ from core.estimation.fusion.layout import (
     TH,
     VALUES,
     N,
+    S,
     V,
     X,
     Y,
@@ -349,10 +354,26 @@ def fix(
 
 
 @njit(error_model="numpy")
-def _refused_range(nu: float, o: int, x: Any, P: Any, mem: Any, c: Any) -> bool:
+def _ranges_lie(t: float, far: float, x: Any, mem: Any, c: Any) -> bool:
+    """Whether refused ranges are not to be believed, however many they are: their row began as that of fixes that lie,
+    with a leap faster than any robot, or without anything having shaken it, and neither long nor far ago."""
+    if mem[REFUSED_RANGES] == 1.0:
+        gap = t - mem[T_RANGE] if mem[T_RANGE] >= 0.0 else 1e9
+        unshaken = c[HAS_ACCEL] != 0.0 and gap < SHOCK and mem[T_STRANGE] < t - gap - SHOCK
+        mem[RANGE_ONSET], mem[RANGE_FROM] = t, x[S]
+        mem[RANGE_LEAPT] = 1.0 if (far > c[LEAP] * max(gap, 1e-3) or unshaken) else 0.0
+    if mem[T_STRANGE] > mem[RANGE_ONSET]:
+        mem[RANGE_LEAPT] = 0.0
+    recent = t - mem[RANGE_ONSET] < c[STUBBORN] or abs(x[S] - mem[RANGE_FROM]) < DRIVE
+    return mem[RANGE_LEAPT] != 0.0 and recent
+
+
+@njit(error_model="numpy")
+def _refused_range(t: float, nu: float, sd: float, o: int, x: Any, P: Any, mem: Any, c: Any) -> bool:
     """A refused range; true where there were so many that the filter doubts its own pose, or this beacon."""
     mem[REFUSED_RANGES] += 1.0
-    if mem[REFUSED_RANGES] > c[PATIENCE]:
+    lie = _ranges_lie(t, abs(nu) - 3.0 * sd, x, mem, c)
+    if mem[REFUSED_RANGES] > c[PATIENCE] and not lie:
         P[X * N + X] += nu * nu
         P[Y * N + Y] += nu * nu
         P[TH * N + TH] += DOUBT * DOUBT
@@ -381,10 +402,11 @@ def range_to(
     ease, o = max(nis / (SOFT * c[GATE1]), 1.0), int(a[4])
     if not nis <= c[GATE1]:
         out.status[e, 0], ease = REJECTED, 1.0
-        if not _refused_range(work[INNOVATION, 0], o, x, P, mem, c):
+        sd = math.sqrt(_product(0, work, index, 0) + work[NOISE, 0])
+        if not _refused_range(t, work[INNOVATION, 0], sd, o, x, P, mem, c):
             return
         _joint(P, n, rows, work, index)
-    mem[REFUSED_RANGES] = 0.0
+    mem[REFUSED_RANGES], mem[T_RANGE] = 0.0, t
     if o > 0:
         mem[MEMORY - N + o] = 0.0
     _take(x, P, n, rows, ease, work, index, rec, k)

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 
 from core.estimation.fusion._beacon_numba import fix, range_to
-from core.estimation.fusion._model_numba import correct_state, step
+from core.estimation.fusion._model_numba import add3, correct_state, step
 from core.estimation.fusion._wheels_numba import wheels
 from core.estimation.fusion.layout import (
     ACCEL,
@@ -29,6 +29,7 @@ from core.estimation.fusion.layout import (
     GZ,
     HAS_ACCEL,
     HAS_GYRO,
+    HIDDEN,
     HOLD,
     KB,
     LEAP_VAR,
@@ -39,6 +40,7 @@ from core.estimation.fusion.layout import (
     PHI,
     Q_CARRIED,
     Q_CARRIED_TURN,
+    Q_GYRO,
     Q_PAUSE,
     Q_SLIDE,
     R_RATE,
@@ -73,6 +75,7 @@ from core.estimation.fusion.layout import (
 )  # fmt: skip
 
 WASH, RECENT = 0.3, 1.0  # s: memory of a change of speed; for how long the largest one is kept
+UNTICKED = 0.4  # s for which a robot that is moving off may turn before a wheel's counter shows it
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -113,6 +116,18 @@ def _at_rest(x: Any, P: Any, gz: float, mem: Any, c: Any) -> bool:
 
 
 @njit(error_model="numpy", forceinline=True)
+def _move_off(x: Any, P: Any, n: int, mem: Any, c: Any) -> None:
+    """At the end of rest: what the gyro has read of late, while no counter had ticked yet and the heading was held."""
+    k, q = 1.0 + x[KB], 0.5 * UNTICKED * c[Q_GYRO]
+    x[TH] += mem[HIDDEN]
+    if n > S:
+        x[PHI] += mem[HIDDEN] * k
+        add3(P, TH, PHI, PHI, 1.0, k, 0.0, q)
+    else:
+        P[TH * N + TH] += q
+
+
+@njit(error_model="numpy", forceinline=True)
 def _feel(t: float, dt: float, dv: float, mem: Any) -> None:
     """How much speed the body has lost of late and the wheels have not: both changes of speed, washed out over WASH."""
     keep = math.exp(-dt / WASH)
@@ -130,7 +145,9 @@ def _move(t: float, kind: int, a: Any, flags: int, x: Any, P: Any, n: int, mem: 
     dt = t - mem[T]
     if c[HAS_GYRO] != 0.0:
         raw, dv, blind = _inertial(t, kind, a, mem, c)
-    if dt <= 0.0:
+    if dt <= 0.0:  # what completes a step that another reading of this stamp has taken goes into the next one
+        mem[TURNED] -= raw
+        mem[SPED] -= dv
         f[0] = np.nan
         return
     mem[T] = t
@@ -139,6 +156,7 @@ def _move(t: float, kind: int, a: Any, flags: int, x: Any, P: Any, n: int, mem: 
     trusted = c[HAS_ACCEL] != 0.0 and blind == 0.0 and flags & ACCEL == 0 and mem[T_IMU] >= 0.0
     fading = t - mem[T_WHEEL] > c[SILENCE] or t - mem[T_TRUST] > c[COAST]
     resting = mem[RESTING] != 0.0
+    mem[HIDDEN] = (mem[HIDDEN] + raw - x[B] * dt) * max(1.0 - dt / UNTICKED, 0.0) if resting else 0.0
     step(x, P, n, dt, raw, dv, trusted, resting, fading, c, f)
     if blind > 0.0 and not resting:
         q, k = c[Q_PAUSE] * blind, 1.0 + x[KB]
@@ -194,7 +212,10 @@ def _entry_point(digest: int) -> Callable[..., int]:
             if flags & CARRIED:
                 mem[RESTING] = 0.0
             elif kind == OUT:  # rest is told with the IMU's readings; others on the way to one do not end it
+                rested = mem[RESTING] != 0.0
                 mem[RESTING] = 1.0 if flags & REST != 0 and _at_rest(x, P, a[0], mem, c) else 0.0
+                if rested and mem[RESTING] == 0.0:
+                    _move_off(x, P, n, mem, c)
             if record:
                 k = e - begin
                 rec.marks[k + 1, 0] = rec.marks[k, 0]

@@ -65,6 +65,8 @@ from core.estimation.fusion.layout import (
     Y,
 )  # fmt: skip
 
+BLOCK = 8  # states that are dealt with at a time, N a multiple of it
+
 
 @njit(error_model="numpy", forceinline=True)
 def _arc(half: float) -> tuple[float, float]:
@@ -137,70 +139,92 @@ def step(
 
 
 @njit(error_model="numpy", forceinline=True)
-def spread(P: Any, n: int, gyro: bool, f: Any) -> None:
-    """P = F P F', rows first, then columns."""
+def _rows_few(P: Any, f: Any) -> None:
+    """F times the first columns, of a state without wheels."""
+    ux, uy, dx, dy, px, py = f[UX], f[UY], f[DX], f[DY], f[PX], f[PY]
+    cd, fv, fb, w_b = f[CD], f[F], f[FB], f[W_B]
+    for j in range(BLOCK):
+        turn, move = w_b * P[B * N + j], cd * P[V * N + j]
+        P[X * N + j] += ux * move - dy * P[TH * N + j] + px * turn
+        P[Y * N + j] += uy * move + dx * P[TH * N + j] + py * turn
+        P[TH * N + j] += turn
+        P[V * N + j] *= fv
+        P[B * N + j] *= fb
+
+
+@njit(error_model="numpy", forceinline=True)
+def _rows_gyro(P: Any, o: int, f: Any) -> None:
+    """F times columns o to o + BLOCK, of a state with wheels and gyro."""
+    ux, uy, dx, dy, px, py = f[UX], f[UY], f[DX], f[DY], f[PX], f[PY]
+    kx, ky, cd, hb, cba, fv = f[KX], f[KY], f[CD], f[HB], f[CBA], f[F]
+    w_b, w_kg, phi_w, phi_d, phi_ke, phi_kb = f[W_B], f[W_KG], f[PHI_W], f[PHI_D], f[PHI_KE], f[PHI_KB]
+    for j in range(o, o + BLOCK):
+        turn, move = w_b * P[B * N + j] + w_kg * P[KG * N + j], cd * P[V * N + j] - hb * P[BA * N + j]
+        P[X * N + j] += ux * move - dy * P[TH * N + j] + px * turn + kx * P[KD * N + j]
+        P[Y * N + j] += uy * move + dx * P[TH * N + j] + py * turn + ky * P[KD * N + j]
+        P[TH * N + j] += turn
+        P[V * N + j] = fv * P[V * N + j] - cba * P[BA * N + j]
+        P[S * N + j] += move
+        P[PHI * N + j] += phi_w * turn + phi_d * move + phi_kb * P[KB * N + j] + phi_ke * P[KE * N + j]
+
+
+@njit(error_model="numpy", forceinline=True)
+def _rows_wheels(P: Any, o: int, f: Any) -> None:
+    """F times columns o to o + BLOCK, of a state with wheels alone."""
     ux, uy, dx, dy, px, py = f[UX], f[UY], f[DX], f[DY], f[PX], f[PY]
     kx, ky, cd, hb, cba, fv, fb = f[KX], f[KY], f[CD], f[HB], f[CBA], f[F], f[FB]
-    w_b, w_kg, phi_w, phi_d = f[W_B], f[W_KG], f[PHI_W], f[PHI_D]
+    w_b, w_d, w_ke, w_kb, phi_w = f[W_B], f[W_D], f[W_KE], f[W_KB], f[PHI_W]
+    for j in range(o, o + BLOCK):
+        move = cd * P[V * N + j] - hb * P[BA * N + j]
+        turn = w_b * P[B * N + j] + w_d * move + w_ke * P[KE * N + j] + w_kb * P[KB * N + j]
+        P[X * N + j] += ux * move - dy * P[TH * N + j] + px * turn + kx * P[KD * N + j]
+        P[Y * N + j] += uy * move + dx * P[TH * N + j] + py * turn + ky * P[KD * N + j]
+        P[TH * N + j] += turn
+        P[S * N + j] += move
+        P[PHI * N + j] += phi_w * P[B * N + j]
+        P[V * N + j] = fv * P[V * N + j] - cba * P[BA * N + j]
+        P[B * N + j] *= fb
+
+
+@njit(error_model="numpy", forceinline=True)
+def _mirror(P: Any, moving: int) -> None:
+    """Transpose the block of the moving states."""
+    for i in range(1, moving):
+        for j in range(i):
+            P[i * N + j], P[j * N + i] = P[j * N + i], P[i * N + j]
+
+
+@njit(error_model="numpy", forceinline=True)
+def spread(P: Any, n: int, gyro: bool, f: Any) -> None:
+    """P = F P F': rows; then, of what has become of the block of moving states, its transpose's rows, as P is
+    symmetric. In blocks of a fixed size that the compiler makes vectors of; beyond n all is zero."""
     if n <= S:
-        for j in range(n):
-            turn, move = w_b * P[B * N + j], cd * P[V * N + j]
-            P[X * N + j] += ux * move - dy * P[TH * N + j] + px * turn
-            P[Y * N + j] += uy * move + dx * P[TH * N + j] + py * turn
-            P[TH * N + j] += turn
-            P[V * N + j] *= fv
-            P[B * N + j] *= fb
-        for i in range(n):
-            turn, move = w_b * P[i * N + B], cd * P[i * N + V]
-            P[i * N + X] += ux * move - dy * P[i * N + TH] + px * turn
-            P[i * N + Y] += uy * move + dx * P[i * N + TH] + py * turn
-            P[i * N + TH] += turn
-            P[i * N + V] *= fv
-            P[i * N + B] *= fb
+        _rows_few(P, f)
+        _mirror(P, S)
+        _rows_few(P, f)
         return
     if gyro:
-        phi_ke, phi_kb = f[PHI_KE], f[PHI_KB]
-        for j in range(n):
-            turn, move = w_b * P[B * N + j] + w_kg * P[KG * N + j], cd * P[V * N + j] - hb * P[BA * N + j]
-            P[X * N + j] += ux * move - dy * P[TH * N + j] + px * turn + kx * P[KD * N + j]
-            P[Y * N + j] += uy * move + dx * P[TH * N + j] + py * turn + ky * P[KD * N + j]
-            P[TH * N + j] += turn
-            P[V * N + j] = fv * P[V * N + j] - cba * P[BA * N + j]
-            P[S * N + j] += move
-            P[PHI * N + j] += phi_w * turn + phi_d * move + phi_kb * P[KB * N + j] + phi_ke * P[KE * N + j]
-        for i in range(MOVING):
-            turn, move = w_b * P[i * N + B] + w_kg * P[i * N + KG], cd * P[i * N + V] - hb * P[i * N + BA]
-            P[i * N + X] += ux * move - dy * P[i * N + TH] + px * turn + kx * P[i * N + KD]
-            P[i * N + Y] += uy * move + dx * P[i * N + TH] + py * turn + ky * P[i * N + KD]
-            P[i * N + TH] += turn
-            P[i * N + V] = fv * P[i * N + V] - cba * P[i * N + BA]
-            P[i * N + S] += move
-            P[i * N + PHI] += phi_w * turn + phi_d * move + phi_kb * P[i * N + KB] + phi_ke * P[i * N + KE]
+        _rows_gyro(P, 0, f)
+        _rows_gyro(P, BLOCK, f)
+        if n > 2 * BLOCK:
+            _rows_gyro(P, 2 * BLOCK, f)
+            _rows_gyro(P, 3 * BLOCK, f)
     else:
-        w_d, w_ke, w_kb = f[W_D], f[W_KE], f[W_KB]
-        for j in range(n):
-            move = cd * P[V * N + j] - hb * P[BA * N + j]
-            turn = w_b * P[B * N + j] + w_d * move + w_ke * P[KE * N + j] + w_kb * P[KB * N + j]
-            P[X * N + j] += ux * move - dy * P[TH * N + j] + px * turn + kx * P[KD * N + j]
-            P[Y * N + j] += uy * move + dx * P[TH * N + j] + py * turn + ky * P[KD * N + j]
-            P[TH * N + j] += turn
-            P[S * N + j] += move
-            P[PHI * N + j] += phi_w * P[B * N + j]
-            P[V * N + j] = fv * P[V * N + j] - cba * P[BA * N + j]
-            P[B * N + j] *= fb
-        for i in range(MOVING):
-            move = cd * P[i * N + V] - hb * P[i * N + BA]
-            turn = w_b * P[i * N + B] + w_d * move + w_ke * P[i * N + KE] + w_kb * P[i * N + KB]
-            P[i * N + X] += ux * move - dy * P[i * N + TH] + px * turn + kx * P[i * N + KD]
-            P[i * N + Y] += uy * move + dx * P[i * N + TH] + py * turn + ky * P[i * N + KD]
-            P[i * N + TH] += turn
-            P[i * N + S] += move
-            P[i * N + PHI] += phi_w * P[i * N + B]
-            P[i * N + V] = fv * P[i * N + V] - cba * P[i * N + BA]
-            P[i * N + B] *= fb
-    for i in range(MOVING, n):  # the rest by symmetry
+        _rows_wheels(P, 0, f)
+        _rows_wheels(P, BLOCK, f)
+        if n > 2 * BLOCK:
+            _rows_wheels(P, 2 * BLOCK, f)
+            _rows_wheels(P, 3 * BLOCK, f)
+    for i in range(MOVING, n):  # columns of the others follow by symmetry
         for j in range(MOVING):
             P[i * N + j] = P[j * N + i]
+    _mirror(P, MOVING)
+    if gyro:
+        _rows_gyro(P, 0, f)
+    else:
+        _rows_wheels(P, 0, f)
+    for j in range(MOVING):  # the block is one wider than what moves
+        P[j * N + MOVING] = P[MOVING * N + j]
 
 
 @njit(error_model="numpy", forceinline=True)

@@ -16,10 +16,12 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from core.estimation.fusion._model_numba import BLOCK
 from core.estimation.fusion.layout import (
     BA,
     CBA,
     CD,
+    DT,
     DX,
     DY,
     FB,
@@ -60,47 +62,81 @@ from core.estimation.fusion.layout import (
     Y,
 )  # fmt: skip
 
+SOURCES = (TH, V, B, KD, KE, KB, KG, BA)  # states on which others depend
+
 
 @njit(error_model="numpy", forceinline=True)
-def _back(z: Any, stride: int, step: int, count: int, f: Any, gyro: bool, wheels: bool) -> None:
-    """z = F' z, the adjoint of `_model_numba.spread`, for `count` columns: state k of column j at k stride + j step."""
-    for j in range(count):
-        o = j * step
-        x, y, th, s = z[X * stride + o], z[Y * stride + o], z[TH * stride + o], z[S * stride + o]
-        phi, v, b = z[PHI * stride + o], z[V * stride + o], z[B * stride + o]
-        turn = th + f[PX] * x + f[PY] * y
-        move = f[UX] * x + f[UY] * y + s
-        rate = f[FB] * b
-        if wheels:
-            if gyro:
-                turn += f[PHI_W] * phi
-                move += f[PHI_D] * phi
-                z[KB * stride + o] += f[PHI_KB] * phi
-                z[KE * stride + o] += f[PHI_KE] * phi
-                z[KG * stride + o] += f[W_KG] * turn
-            else:
-                move += f[W_D] * turn
-                rate += f[PHI_W] * phi
-                z[KB * stride + o] += f[W_KB] * turn
-                z[KE * stride + o] += f[W_KE] * turn
-            z[KD * stride + o] += f[KX] * x + f[KY] * y
-            z[BA * stride + o] -= f[HB] * move + f[CBA] * v
-        z[TH * stride + o] = th + f[DX] * y - f[DY] * x
-        z[V * stride + o] = f[F] * v + f[CD] * move
-        z[B * stride + o] = rate + f[W_B] * turn
+def _rows_few(z: Any, stride: int, first: int, last: int, f: Any) -> None:
+    """F' times columns first to last, of a state without wheels; state k of column j is z[k stride + j]."""
+    ux, uy, dx, dy, px, py = f[UX], f[UY], f[DX], f[DY], f[PX], f[PY]
+    cd, fv, fb, w_b = f[CD], f[F], f[FB], f[W_B]
+    for j in range(first, last):
+        x, y, th = z[X * stride + j], z[Y * stride + j], z[TH * stride + j]
+        turn, move = th + px * x + py * y, ux * x + uy * y
+        z[TH * stride + j] = th + dx * y - dy * x
+        z[V * stride + j] = fv * z[V * stride + j] + cd * move
+        z[B * stride + j] = fb * z[B * stride + j] + w_b * turn
+
+
+@njit(error_model="numpy", forceinline=True)
+def _rows_gyro(z: Any, stride: int, first: int, last: int, f: Any) -> None:
+    """The same of a state with wheels and gyro."""
+    ux, uy, dx, dy, px, py = f[UX], f[UY], f[DX], f[DY], f[PX], f[PY]
+    kx, ky, cd, hb, cba, fv = f[KX], f[KY], f[CD], f[HB], f[CBA], f[F]
+    w_b, w_kg, phi_w, phi_d, phi_ke, phi_kb = f[W_B], f[W_KG], f[PHI_W], f[PHI_D], f[PHI_KE], f[PHI_KB]
+    for j in range(first, last):
+        x, y, th, v = z[X * stride + j], z[Y * stride + j], z[TH * stride + j], z[V * stride + j]
+        phi = z[PHI * stride + j]
+        turn = th + px * x + py * y + phi_w * phi
+        move = ux * x + uy * y + z[S * stride + j] + phi_d * phi
+        z[TH * stride + j] = th + dx * y - dy * x
+        z[V * stride + j] = fv * v + cd * move
+        z[B * stride + j] += w_b * turn
+        z[KD * stride + j] += kx * x + ky * y
+        z[KE * stride + j] += phi_ke * phi
+        z[KB * stride + j] += phi_kb * phi
+        z[KG * stride + j] += w_kg * turn
+        z[BA * stride + j] -= hb * move + cba * v
+
+
+@njit(error_model="numpy", forceinline=True)
+def _rows_wheels(z: Any, stride: int, first: int, last: int, f: Any) -> None:
+    """The same of a state with wheels alone."""
+    ux, uy, dx, dy, px, py = f[UX], f[UY], f[DX], f[DY], f[PX], f[PY]
+    kx, ky, cd, hb, cba, fv, fb = f[KX], f[KY], f[CD], f[HB], f[CBA], f[F], f[FB]
+    w_b, w_d, w_ke, w_kb, phi_w = f[W_B], f[W_D], f[W_KE], f[W_KB], f[PHI_W]
+    for j in range(first, last):
+        x, y, th, v = z[X * stride + j], z[Y * stride + j], z[TH * stride + j], z[V * stride + j]
+        turn = th + px * x + py * y
+        move = ux * x + uy * y + z[S * stride + j] + w_d * turn
+        z[TH * stride + j] = th + dx * y - dy * x
+        z[V * stride + j] = fv * v + cd * move
+        z[B * stride + j] = fb * z[B * stride + j] + phi_w * z[PHI * stride + j] + w_b * turn
+        z[KD * stride + j] += kx * x + ky * y
+        z[KE * stride + j] += w_ke * turn
+        z[KB * stride + j] += w_kb * turn
+        z[BA * stride + j] -= hb * move + cba * v
+
+
+@njit(error_model="numpy", forceinline=True)
+def _rows(z: Any, stride: int, first: int, last: int, f: Any, gyro: bool) -> None:
+    if gyro:
+        _rows_gyro(z, stride, first, last, f)
+    else:
+        _rows_wheels(z, stride, first, last, f)
 
 
 @njit(error_model="numpy", forceinline=True)
 def _uncorrect(lam: Any, L: Any, n: int, which: Any, told: Any, m: Any) -> None:
     """Back through a correction: with K = gain / variance, (I - K h')' on both sides, and the reading's own word."""
     inverse = 1.0 / told[VARIANCE]
-    along, both = 0.0, 0.0
-    for i in range(n):
+    along, both, w = 0.0, 0.0, (n + 3) & ~3
+    for i in range(w):
         m[i] = 0.0
     for j in range(n):
         gain = told[j] * inverse
         along += told[j] * lam[j]
-        for i in range(n):
+        for i in range(w):
             m[i] += L[j * N + i] * gain
     for i in range(n):
         both += told[i] * m[i]
@@ -109,7 +145,7 @@ def _uncorrect(lam: Any, L: Any, n: int, which: Any, told: Any, m: Any) -> None:
     for p in range(which[ROOM]):
         k, a = which[p], told[VALUES + p]
         lam[k] -= a * along
-        for j in range(n):
+        for j in range(w):
             L[k * N + j] -= a * m[j]
     for p in range(which[ROOM]):
         k, a = which[p], told[VALUES + p]
@@ -122,6 +158,7 @@ def _uncorrect(lam: Any, L: Any, n: int, which: Any, told: Any, m: Any) -> None:
 @njit(error_model="numpy")
 def _smooth_row(lam: Any, L: Any, n: int, P: Any, row: int, out: Any, work: Any) -> None:
     """Filtered pose, bias and covariances of a row become smoothed ones; P (4, n) of x, y, theta, b."""
+    w = (n + 3) & ~3
     for i in range(4 * N):
         work[i] = 0.0
     for j in range(n):
@@ -130,7 +167,7 @@ def _smooth_row(lam: Any, L: Any, n: int, P: Any, row: int, out: Any, work: Any)
         out.rows[row, 1] -= p1 * lam[j]
         out.rows[row, 2] -= p2 * lam[j]
         out.rows[row, 3] -= p3 * lam[j]
-        for i in range(n):
+        for i in range(w):
             a = L[j * N + i]
             work[i] += a * p0
             work[N + i] += a * p1
@@ -185,17 +222,38 @@ def _fade(lam: Any, L: Any, n: int, first: int, fade: float) -> None:
             L[j * N + i] *= fade
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _unstep(lam: Any, L: Any, n: int, f: Any, gyro: bool) -> None:
-    """Back through a step: F' lambda and F' L F."""
-    _back(lam, 1, 0, 1, f, gyro, n > S)
-    _back(L, N, 1, n, f, gyro, n > S)
-    for i in (TH, V, B, KD, KE, KB, KG, BA):  # other states' columns are as they were, and follow by symmetry
-        if i < n:
-            _back(L[i * N : i * N + N], 1, 0, 1, f, gyro, n > S)
-    for i in (TH, V, B, KD, KE, KB, KG, BA):
-        for j in range(n):
+    """Back through a step: F' lambda and F' L F, the adjoint of `_model_numba.spread`: rows; then, as L is symmetric,
+    rows of the transpose, where they concern the states on which others depend. Beyond n all is zero."""
+    if n <= S:
+        _rows_few(lam, 1, 0, 1, f)
+        _rows_few(L, N, 0, BLOCK, f)
+        for i in (TH, V, B):
+            for j in range(TH):
+                L[j * N + i] = L[i * N + j]
+            for j in range(TH, i):
+                L[i * N + j], L[j * N + i] = L[j * N + i], L[i * N + j]
+        _rows_few(L, N, TH, S, f)
+        return
+    _rows(lam, 1, 0, 1, f, gyro)
+    _rows(L, N, 0, BLOCK, f, gyro)
+    _rows(L, N, BLOCK, 2 * BLOCK, f, gyro)
+    if n > 2 * BLOCK:
+        _rows(L, N, 2 * BLOCK, N, f, gyro)
+    for i in SOURCES:
+        for j in (X, Y, S, PHI):
             L[j * N + i] = L[i * N + j]
+        for j in range(DT, n):
+            L[j * N + i] = L[i * N + j]
+        for j in SOURCES:
+            if j < i:
+                L[i * N + j], L[j * N + i] = L[j * N + i], L[i * N + j]
+    _rows(L, N, TH, TH + BLOCK, f, gyro)
+    _rows(L, N, TH + BLOCK, DT, f, gyro)
+    for i in SOURCES:
+        for j in (S, PHI):
+            L[i * N + j] = L[j * N + i]
 
 
 def _entry_point(digest: int) -> Callable[..., None]:
@@ -225,7 +283,8 @@ def _entry_point(digest: int) -> Callable[..., None]:
     return walk_back
 
 
-_DIGEST = zlib.crc32(Path(__file__).with_name("layout.py").read_bytes()) | 1
+_FILES = ("layout.py", "_model_numba.py")
+_DIGEST = zlib.crc32(b"".join(Path(__file__).with_name(name).read_bytes() for name in _FILES)) | 1
 walk_back = _entry_point(_DIGEST)
 """walk_back(begin, end, row, row0, kind, lam (N,), L (N, N), n, gyro, offsets, rec, out, shock (M, 3)): from event
 `end` back to `begin`; `row` is one past the last row of the stretch, `row0` its first."""

@@ -30,7 +30,7 @@ from core.estimation.result import Event, Innovations, Value
 Array = npt.NDArray[np.float64]
 
 LOSS_FACTOR, LOSS_FLOOR = 5.0, 1.0  # a beacon is lost after this many typical steps, and this many seconds at least
-LIE_FIXES = 4
+LIES = {FIX: (4, 2), RANGE: (10, 3)}  # refused readings that are a lie, and their largest distance in a row
 CARRIED_FAR = 0.15  # m
 LEARNT = 0.9  # of its first sd: a parameter that keeps more has not been shown by the run
 WORDS = {FIX: "fixes", RANGE: "ranges"}
@@ -129,20 +129,25 @@ def _losses(events: Events, walked: Walk) -> list[Event]:
 
 
 def _lies(events: Events, walked: Walk) -> list[Event]:
-    """Stretches of refused fixes, LIE_FIXES of them at least, with no more than one accepted in between."""
-    rows = np.flatnonzero(events.kind == FIX)
+    """Stretches of refused fixes or ranges, with few accepted in between."""
+    return [event for kind in (FIX, RANGE) for event in _lies_of(kind, events, walked)]
+
+
+def _lies_of(kind: int, events: Events, walked: Walk) -> list[Event]:
+    fewest, apart = LIES[kind]
+    rows = np.flatnonzero(events.kind == kind)
     bad, t = walked.status[rows, 0] == REJECTED, events.t[rows]
     at = np.flatnonzero(bad)
-    if at.size < LIE_FIXES:
+    if at.size < fewest:
         return []
-    cuts = np.flatnonzero(np.diff(at) > 2)
+    cuts = np.flatnonzero(np.diff(at) > apart)
     first, last = np.concatenate(([0], cuts + 1)), np.concatenate((cuts, [at.size - 1]))
     return [
         Event(
-            "beacon_lying", float(t[at[a]]), float(t[at[b]]), evidence=f"{b - a + 1} fixes refused in a row",
+            "beacon_lying", float(t[at[a]]), float(t[at[b]]), evidence=f"{b - a + 1} {WORDS[kind]} refused in a row",
             replaced="wheels and IMU carry the path",
         )
-        for a, b in zip(first, last, strict=True) if b - a + 1 >= LIE_FIXES
+        for a, b in zip(first, last, strict=True) if b - a + 1 >= fewest
     ]  # fmt: skip
 
 

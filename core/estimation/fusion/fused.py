@@ -26,7 +26,7 @@ from core.estimation.fusion.start import Start, find_start
 from core.estimation.fusion.walk import Problem, Walk, problem, smooth, walk
 from core.estimation.fusion.witness import rest_walk, turn_slip
 from core.estimation.rest import Rest, at_rest
-from core.estimation.result import Curve, Estimate
+from core.estimation.result import Curve, Estimate, Innovations
 from core.run import Run
 from core.trajectory import Trajectory
 
@@ -50,14 +50,14 @@ def fused(run: Run, config: Config | None = None) -> Estimate:
     """Causal path with covariance, gyro bias, parameters and innovations; one pose per IMU stamp (else wheel stamp)."""
     ready = prepare(run, config)
     found = walk(ready.problem, ready.events, ready.disturbances)
-    return _estimate("fused", ready, found, found)
+    return _estimate("fused", ready, found, found, innovations(ready.events, found))
 
 
 def smoothed(run: Run, config: Config | None = None) -> Estimate:
     """As `fused`, each pose by the whole run: a fixed-interval smoother over the filter's own steps."""
     ready = prepare(run, config)
     forward, back = smooth(ready.problem, ready.events, ready.disturbances)
-    return _estimate("smoothed", ready, back, forward)
+    return _estimate("smoothed", ready, back, forward, innovations(ready.events, forward))
 
 
 def fused_and_smoothed(run: Run, config: Config | None = None) -> tuple[Estimate, Estimate]:
@@ -71,7 +71,9 @@ def fused_and_smoothed(run: Run, config: Config | None = None) -> tuple[Estimate
             found = causal.result()
         else:
             found = walk(ready.problem, ready.events) if back.leaps else forward
-    return _estimate("fused", ready, found, found), _estimate("smoothed", ready, back, forward)
+    told = innovations(ready.events, forward)
+    mine = told if found is forward else innovations(ready.events, found)
+    return _estimate("fused", ready, found, found, mine), _estimate("smoothed", ready, back, forward, told)
 
 
 def prepare(run: Run, config: Config | None = None) -> Prepared:
@@ -124,7 +126,7 @@ def _reckoned(events: Events, walked: Walk) -> Trajectory:
     return Trajectory(events.out, walked.pose[:, 0], walked.pose[:, 1], walked.pose[:, 2])
 
 
-def _estimate(method: str, ready: Prepared, path: Walk, forward: Walk) -> Estimate:
+def _estimate(method: str, ready: Prepared, path: Walk, forward: Walk, told: dict[str, Innovations]) -> Estimate:
     t, pose = ready.events.out, path.pose
     return Estimate(
         method,
@@ -132,6 +134,6 @@ def _estimate(method: str, ready: Prepared, path: Walk, forward: Walk) -> Estima
         gyro_bias=Curve(t, path.bias, np.sqrt(path.bias_var)) if ready.rest is not None else None,
         parameters=parameters(ready.events, forward),
         events=all_events(ready.events, forward, (*ready.disturbances.events, *leaps(path, ready.disturbances.events))),
-        innovations=innovations(ready.events, forward),
+        innovations=told,
         notes=(*ready.notes, *findings(ready.events, ready.problem, forward)),
     )

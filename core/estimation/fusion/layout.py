@@ -101,12 +101,13 @@ STRANGE = LEFT | RIGHT | TURN | ACCEL | STOPPED | CARRIED
 NONE, ACCEPTED, REJECTED, RELOCATED = range(4)
 """Status of a reading; after RELOCATED the filter has given up its pose for what many refused fixes agree on."""
 
-MEMORY = 32 + N
+MEMORY = 37 + N
 (
     T, T_IMU, GZ, AX, TURNED, SPED, UNSEEN, T_WHEEL, T_TRUST, STARTED, RESTING, REFUSED_REST, SLIP_LEFT, SLIP_RIGHT,
     SLIP_TURN, T_FIX, REFUSED, ONSET, LEAPT, T_STRANGE, T_OFFSET, REFUSED_RANGES, DRIVEN, AGREED, DISTANCE,
-    STOP_SINCE, STOP_OK, WASH_IMU, WASH_WHEELS, WHEEL_SPEED, LOST_SPEED, T_LOST,
-) = range(32)  # fmt: skip
+    STOP_SINCE, STOP_OK, WASH_IMU, WASH_WHEELS, WHEEL_SPEED, LOST_SPEED, T_LOST, HIDDEN,
+    T_RANGE, RANGE_ONSET, RANGE_LEAPT, RANGE_FROM,
+) = range(37)  # fmt: skip
 """What the filter remembers beside its state: stamps, what of the gyro's step is used up, counters. The last N are the
 rejections in a row of each lasting error's beacon. Stamps are -1 before there is one."""
 

@@ -27,11 +27,13 @@ HEADING_KNOWN = 0.1  # rad
 
 @dataclass(frozen=True)
 class RangeFit:
-    """pose (3,), covariance (3, 3), and whether no other pose explains the ranges nearly as well."""
+    """pose (3,), covariance (3, 3), whether no other pose explains the ranges nearly as well; misfit [m]: what
+    four fifths of the ranges stay under."""
 
     pose: Array
     covariance: Array
     unique: bool
+    misfit: float
 
 
 def fit_ranges(local: Array, anchors: Array, ranges: Array, tag_z: float, sd: float, scale_sd: float) -> RangeFit:
@@ -47,12 +49,13 @@ def fit_ranges(local: Array, anchors: Array, ranges: Array, tag_z: float, sd: fl
     off = np.hypot(*(q[:, :2] - q[best, :2]).T)
     other = (off > APART_M) | (np.abs(wrap_angle(q[:, 2] - q[best, 2])) > APART_RAD)
     rivals = other & (cost < cost[best] + CLEARLY)
+    misfit = float(np.quantile(np.abs(ranges - _predict(q[best, None], local, anchors, tag_z)[0][0]), 0.8))
     P = np.linalg.inv(normal[best])[:3, :3]
     if rivals.any():
         spread = q[rivals, :3] - q[best, :3]
         spread[:, 2] = wrap_angle(spread[:, 2])
         P = P + spread.T @ spread / len(spread)
-    return RangeFit(q[best, :3], P, bool(not rivals.any() and P[2, 2] <= HEADING_KNOWN**2))
+    return RangeFit(q[best, :3], P, bool(not rivals.any() and P[2, 2] <= HEADING_KNOWN**2), misfit)
 
 
 def _candidates(anchors: Array, ranges: Array) -> Array:

@@ -19,8 +19,10 @@ from core.estimation.assumptions import Assumptions
 from core.estimation.cleaning import gyro_readings
 from core.estimation.counters import counters
 from core.estimation.fusion.events import FARTHEST
+from core.estimation.fusion.range_start import fit_ranges
 from core.estimation.fusion.start import LONGEST, fit_rigid
 from core.estimation.odometry import arcs, wheel_path
+from core.geometry import compose
 from core.run import Run
 from core.sensors import ImuLog
 
@@ -29,7 +31,7 @@ Check = Callable[[Run, Assumptions], tuple[Run, tuple[str, ...]]]
 
 DEGREES = 180.0 / math.pi
 GRAVITY = 9.80665
-WINDOW = 0.5  # s over which turns are compared
+WINDOW, MOST = 0.5, 4000  # s over which turns are compared, windows at most
 TURNS, AGREE = 0.3, 0.8  # rad rms of turning in a window that is enough; least correlation of two witnesses
 NEAR = 1.25  # a factor that is that near to a mistake's is the mistake
 LENGTHS = {"millimetres": 1000.0, "centimetres": 100.0}
@@ -37,6 +39,8 @@ STRETCH = 2.0  # s over which distances are compared
 ENOUGH = 12  # fixes or ranges of one beacon
 MOVED = 1.0  # m that the robot must have driven
 CLEARLY = 5.0  # by how much the right assumption must fit better
+ALIKE, UNLIKE = 0.9, 0.5  # how much headings agree (mean direction of their differences) that are, that are not
+MOST_FITTED = 160  # ranges by which two beacons are told apart where nobody knows the start
 
 
 def sound(run: Run, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
@@ -79,7 +83,8 @@ def _turning(run: Run, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
         return run, ()
     path = wheel_path(wheels, robot.wheel_radius, robot.track_width)
     t, gz = gyro_readings(imu)
-    grid = np.arange(max(t[0], path.t[0]), min(t[-1], path.t[-1]), WINDOW)[:4000]
+    begin = max(t[0], path.t[0])
+    grid = np.arange(begin, min(t[-1], path.t[-1], begin + MOST * WINDOW), WINDOW)
     if len(grid) < 8:
         return run, ()
     turned = np.concatenate(([0.0], np.cumsum(0.5 * (gz[1:] + gz[:-1]) * np.minimum(np.diff(t), 1.0))))
@@ -88,7 +93,8 @@ def _turning(run: Run, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
     if np.sqrt(np.mean(by_wheels**2)) < TURNS * WINDOW or np.ptp(by_gyro) == 0 or np.ptp(by_wheels) == 0:
         return run, ()
     agreement = float(np.corrcoef(by_gyro, by_wheels)[0, 1])
-    slope = float(np.median(np.abs(by_gyro)[_large(by_wheels)] / np.abs(by_wheels)[_large(by_wheels)]))
+    large = _large(by_wheels)
+    slope = float(np.median(np.abs(by_gyro)[large] / np.abs(by_wheels)[large]))
     if not abs(agreement) > AGREE:
         return run, ()
     notes: tuple[str, ...] = ()
@@ -113,7 +119,7 @@ def _turning(run: Run, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
 
 
 def _large(values: Array) -> npt.NDArray[np.bool_]:
-    return np.asarray(np.abs(values) >= np.quantile(np.abs(values), 0.7))
+    return np.asarray(np.abs(values) >= max(float(np.quantile(np.abs(values), 0.7)), 1e-9))
 
 
 def reckoned(run: Run) -> tuple[Array, Array] | None:
@@ -157,15 +163,19 @@ def _fixes(run: Run, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
             return dataclasses.replace(run, beacon=fixes), (f"The fixes read {words} in place of metres: converted.",)
     if 1 / NEAR < ratio * DEGREES < NEAR:
         return _wheels_converted(run)
+    run, notes = _fix_headings(run)
+    fixes = run.beacon
+    assert fixes is not None
     stretch = _leading(run, fixes.t)
     if stretch is None:
-        return run, ()
+        return run, notes
     at, rows = stretch
     xy = np.column_stack((fixes.x, fixes.y)).astype(np.float64)[rows]
     good = (np.abs(xy) <= FARTHEST).all(axis=1)
     if good.sum() < ENOUGH or np.ptp(at[good, :2], axis=0).max() < MOVED:
-        return run, ()
-    return _mirrored(run, at[good, :2], xy[good], numbers)
+        return run, notes
+    run, more = _mirrored(run, at[good, :2], xy[good], numbers)
+    return run, (*notes, *more)
 
 
 def _wheels_converted(run: Run) -> tuple[Run, tuple[str, ...]]:
@@ -193,6 +203,27 @@ def _metres_per_metre(run: Run, numbers: Assumptions) -> float | None:
     return float(np.quantile(seen[use] / rolled[use], 0.7))
 
 
+def _fix_headings(run: Run) -> tuple[Run, tuple[str, ...]]:
+    """Headings of fixes against those of wheels and gyro: degrees in place of radians."""
+    fixes = run.beacon
+    stretch = _leading(run, fixes.t) if fixes is not None else None
+    if fixes is None or fixes.theta is None or stretch is None:
+        return run, ()
+    at, rows = stretch
+    theta = np.asarray(fixes.theta, np.float64)[rows]
+    good = np.isfinite(theta)
+    if good.sum() < ENOUGH or np.ptp(at[good, 2]) < 1.0:
+        return run, ()
+
+    def alike(factor: float) -> float:
+        return float(np.abs(np.mean(np.exp(1j * (theta[good] * factor - at[good, 2])))))
+
+    if alike(1.0) > UNLIKE or alike(1 / DEGREES) < ALIKE:
+        return run, ()
+    fixes = dataclasses.replace(fixes, theta=np.asarray(fixes.theta, np.float64) / DEGREES)
+    return dataclasses.replace(run, beacon=fixes), ("The fixes' headings read degrees in place of radians: converted.",)
+
+
 def _mirrored(run: Run, local: Array, xy: Array, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
     plain, turned = (_misfit(local * np.array((1.0, sign)), xy, numbers.fix_xy) for sign in (1.0, -1.0))
     if plain < CLEARLY * max(turned, numbers.fix_xy) or plain < 0.3:
@@ -212,14 +243,42 @@ def _misfit(local: Array, xy: Array, sd: float) -> float:
     return float(np.median(np.hypot(x - xy[:, 0], y - xy[:, 1])))
 
 
+def _range_units(run: Run, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
+    """Ranges that change by more than the robot can have driven, by a factor that a unit leaves."""
+    log, found = run.ranges, reckoned(run)
+    if log is None or found is None or len(log) < 2 * ENOUGH:
+        return run, ()
+    t, pose = found
+    gone = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(pose[:, :2], axis=0).T))))
+    most = 0.0
+    for k in range(len(log.names)):
+        mine = np.flatnonzero((log.beacon == k) & np.isfinite(log.range))[:1000]
+        if len(mine) < ENOUGH:
+            continue
+        stamps, ranges = log.t[mine], np.asarray(log.range, np.float64)[mine]
+        apart = int(np.clip(round(STRETCH / max(float(np.median(np.diff(stamps))), 1e-3)), 1, len(mine) // 2))
+        driven = np.diff(np.interp(stamps, t, gone)[::apart])
+        if driven.max() > 0.2:
+            use = driven >= max(float(np.quantile(driven, 0.5)), 0.1)
+            most = max(most, float(np.quantile(np.abs(np.diff(ranges[::apart]))[use] / driven[use], 0.9)))
+    for words, factor in LENGTHS.items():
+        if 0.3 < most / factor < NEAR:
+            log = dataclasses.replace(log, range=np.asarray(log.range, np.float64) / factor)
+            return dataclasses.replace(run, ranges=log), (f"The ranges read {words} in place of metres: converted.",)
+    return run, ()
+
+
 def _beacons(run: Run, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
-    """Ranges against the dead-reckoned path from a known start: two beacons whose names are exchanged."""
+    """Ranges against the dead-reckoned path: two beacons whose names are exchanged."""
     log, start = run.ranges, run.meta.start
     notes = _one_line(run)
     stretch = _leading(run, log.t) if log is not None else None
-    if log is None or start is None or stretch is None:
+    if log is None or stretch is None:
         return run, notes
     at, rows = stretch
+    if start is None:
+        run, more = _exchanged(run, at, rows, numbers)
+        return run, (*notes, *more)
     cos, sin = math.cos(start.theta), math.sin(start.theta)
     x, y = start.x + cos * at[:, 0] - sin * at[:, 1], start.y + sin * at[:, 0] + cos * at[:, 1]
     names = [n for n in log.names if n in run.meta.beacons and max(map(abs, run.meta.beacons[n])) <= FARTHEST]
@@ -242,6 +301,40 @@ def _beacons(run: Run, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
     return run, notes
 
 
+def _exchanged(run: Run, at: Array, rows: npt.NDArray[np.intp], numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
+    """The same where nobody knows the start: no pose explains the ranges, one does when two beacons are exchanged."""
+    log, tag = run.ranges, run.meta.robot.tag
+    assert log is not None
+    known = np.array([name in run.meta.beacons for name in log.names])
+    rows = rows[known[log.beacon[rows]] & (np.abs(log.range[rows]) <= FARTHEST)]
+    names = [name for name, surveyed in zip(log.names, known, strict=True) if surveyed]
+    if len(names) < 3 or len(rows) < 4 * ENOUGH:
+        return run, ()
+    rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(MOST_FITTED, len(rows))).astype(np.intp))]
+    t, pose = reckoned(run) or (np.zeros(0), np.zeros((0, 3)))
+    at = np.column_stack([np.interp(log.t[rows], t, column) for column in pose.T])
+    local = compose(at, np.broadcast_to(np.array((tag.x, tag.y, 0.0)), at.shape))[:, :2]
+    ranges = np.asarray(log.range, np.float64)[rows]
+
+    def misfit(places: dict[str, tuple[float, float, float]]) -> float:
+        anchors = np.array([places.get(name, (0.0, 0.0, 0.0)) for name in log.names], np.float64)[log.beacon[rows]]
+        return fit_ranges(local, anchors, ranges, tag.z, numbers.range, numbers.range_scale_sd).misfit
+
+    given = dict(run.meta.beacons)
+    limit = 3 * numbers.range + 0.3
+    now = misfit(given)
+    if now < limit:
+        return run, ()
+    tried = [{**given, a: given[b], b: given[a]} for a, b in itertools.combinations(names, 2)]
+    left = [misfit(places) for places in tried]
+    best = int(np.argmin(left))
+    if left[best] > limit or now < CLEARLY * left[best]:
+        return run, ()
+    a, b = list(itertools.combinations(names, 2))[best]
+    note = f"Beacons {a} and {b} are exchanged: their ranges fit each other's place. Put right."
+    return dataclasses.replace(run, meta=dataclasses.replace(run.meta, beacons=tried[best])), (note,)
+
+
 def _one_line(run: Run) -> tuple[str, ...]:
     if run.ranges is None:
         return ()
@@ -257,4 +350,4 @@ def _one_line(run: Run) -> tuple[str, ...]:
     )
 
 
-CHECKS: tuple[Check, ...] = (counters, _gravity, _turning, _fixes, _beacons)
+CHECKS: tuple[Check, ...] = (counters, _gravity, _turning, _fixes, _range_units, _beacons)

@@ -46,6 +46,7 @@ from core.estimation.fusion.layout import (
     T_FIX,
     T_IMU,
     T_OFFSET,
+    T_RANGE,
     T_STRANGE,
     T_TRUST,
     T_WHEEL,
@@ -144,7 +145,7 @@ def problem(run: Run, events: Events, start: Start, numbers: Assumptions, rest: 
     P[range(3, wheels), range(3, wheels)] = np.square(sd[3:])
     begin = float(events.t[0]) if len(events.t) else 0.0
     mem[[T, STARTED, T_OFFSET]] = begin
-    mem[[T_IMU, T_WHEEL, T_FIX]] = -1.0
+    mem[[T_IMU, T_WHEEL, T_FIX, T_RANGE]] = -1.0
     mem[[T_STRANGE, T_TRUST]] = -1e9, begin
     active = np.flatnonzero(np.diag(P) > 0)
     n = max(int(active[-1]) + 1 if active.size else 0, PHI + 1)

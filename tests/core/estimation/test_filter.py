@@ -95,6 +95,19 @@ def ready(c: Constants = BASE, P0: np.ndarray = PRIOR, n: int = 15, begin: float
     return Problem(n, np.array(c, np.float64), State(x, P, mem, np.zeros((PAST, SEEN))))
 
 
+def test_a_reading_at_the_imus_own_stamp_delays_nothing() -> None:
+    """A gyro whose rate grows: half of its steps end at a wheel reading's stamp, which comes first."""
+    t, alpha = np.arange(101) * 0.01, 0.8
+    zero = np.zeros(101)
+    imu = np.column_stack((alpha * t, zero, zero, zero, zero))
+    wheel = np.column_stack((0.5 * t, zero + np.nan, zero, zero, zero))[::2]
+    stamps, kind = np.concatenate((t[::2], t)), np.repeat((WHEEL, OUT), (51, 101))
+    order = np.argsort(stamps, kind="stable")
+    log = Events(stamps[order], kind[order], np.concatenate((wheel, imu))[order], np.zeros(152, np.int64), t)
+    heading = walked(log).pose[:, 2]
+    np.testing.assert_allclose(heading[1::2], alpha / 2 * t[1::2] ** 2, atol=1e-12)
+
+
 def walked(log: Events, c: Constants = BASE, P0: np.ndarray = PRIOR, n: int = 15) -> Walk:
     return walk(ready(c, P0, n, float(log.t[0])), log)
 

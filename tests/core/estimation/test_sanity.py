@@ -50,6 +50,11 @@ def fixes_in_millimetres(run: Run) -> Run:
     return dataclasses.replace(run, beacon=dataclasses.replace(run.beacon, x=run.beacon.x * 1e3, y=run.beacon.y * 1e3))
 
 
+def fix_headings_in_degrees(run: Run) -> Run:
+    assert run.beacon is not None and run.beacon.theta is not None
+    return dataclasses.replace(run, beacon=dataclasses.replace(run.beacon, theta=np.degrees(run.beacon.theta)))
+
+
 def mirrored(run: Run) -> Run:
     assert run.beacon is not None
     fixes = dataclasses.replace(run.beacon, y=-run.beacon.y, theta=None)
@@ -63,6 +68,7 @@ MISTAKES: dict[str, tuple[Callable[[Run], Run], str, float]] = {
     "wheels in degrees": (wheels_in_degrees, "wheels read degrees", 0.15),
     "wheels in degrees, no gyro": (wheels_in_degrees_without_a_gyro, "wheels read degrees", 0.15),
     "fixes in millimetres": (fixes_in_millimetres, "millimetres", 0.15),
+    "fix headings in degrees": (fix_headings_in_degrees, "headings read degrees", 0.15),
     "mirrored map": (mirrored, "mirrored", 1.5),
 }
 
@@ -86,10 +92,21 @@ def test_an_accelerometer_in_g_is_converted() -> None:
     assert found.imu.az[0] == pytest.approx(9.80665) and "reads g" in notes[0]
 
 
-def test_two_beacons_exchanged_are_put_right() -> None:
+def test_ranges_in_millimetres_are_converted() -> None:
+    log = RANGED.run.ranges
+    assert log is not None
+    found = estimate(dataclasses.replace(RANGED.run, ranges=dataclasses.replace(log, range=log.range * 1e3)), "fused")
+    assert any("ranges read millimetres" in note for note in found.notes)
+    errors = evaluate(found.trajectory, RANGED.run.truth)
+    assert errors.max_m is not None and errors.max_m < 0.15
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["known start", "unknown start"])
+def test_two_beacons_exchanged_are_put_right(known: bool) -> None:
     places = dict(RANGED.run.meta.beacons)
     places["B1"], places["B3"] = places["B3"], places["B1"]
-    run = dataclasses.replace(RANGED.run, meta=dataclasses.replace(RANGED.run.meta, beacons=places))
+    meta = dataclasses.replace(RANGED.run.meta, beacons=places, start=RANGED.run.meta.start if known else None)
+    run = dataclasses.replace(RANGED.run, meta=meta)
     found = estimate(run, "fused")
     assert any("B1 and B3 are exchanged" in note for note in found.notes)
     errors = evaluate(found.trajectory, RANGED.run.truth)
