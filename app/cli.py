@@ -61,7 +61,9 @@ def parser() -> argparse.ArgumentParser:
 
     estimate = commands.add_parser("estimate", help="path by one method")
     estimate.add_argument("source", metavar="RUN", help=RUN_HELP)
-    estimate.add_argument("--method", required=True, metavar="M", help="encoders, beacon, encoders+gyro, fused")
+    estimate.add_argument(
+        "--method", required=True, metavar="M", help="encoders, beacon, encoders+gyro, published, fused, smoothed"
+    )
     estimate.add_argument("--out", required=True, type=Path, metavar="FILE.csv", help="t,x,y,theta and deviations")
     estimate.add_argument("--json", metavar="FILE", help="the result as JSON (- for standard output)")
     estimate.add_argument("--data", type=Path, help="data folder of stored runs (default data)")
@@ -144,6 +146,8 @@ def _estimate(options: argparse.Namespace) -> int:
     runtime = time.perf_counter() - began
     progress(0.9, "writing")
     write_path(made, options.out)
+    for note in made.notes:
+        sys.stderr.write(f"driftscope: note: {note}\n")
     if options.json:
         write_json(options.json, published(run, made, runtime))
     progress(1.0, "done")
