@@ -103,9 +103,13 @@ def _gap(
 ) -> tuple[dict[str, Any] | None, str | None]:
     """How far real and simulated are apart, as the sandbox has it; or why there is no number."""
     from app.sandbox.prepared import make_prepared
+    from core.errors import MissingStreamError
 
-    one = make_prepared(run, run.span, recorded=True, best=None)
-    gap = one.gap(effects, seed, foreign, made)
+    try:
+        one = make_prepared(run, run.span, recorded=True, best=None)
+        gap = one.gap(effects, seed, foreign, made)
+    except MissingStreamError as error:  # a robot at rest needs no wheels, its gap does
+        return None, error.message
     if gap is None:
         return None, one.no_gap
     by = {name: {"before": f.before, "after": f.after, "floor": f.floor} for name, f in gap.by_stream.items()}

@@ -11,20 +11,22 @@ from dataclasses import dataclass
 from typing import Any
 
 from fastapi import FastAPI
-from sqlalchemy import Engine
+from sqlalchemy import Engine, func, select
 
 from app.db.session import reading
+from app.db.tables import Estimate, Run
 from app.figures.path import of_estimate
 from app.sandbox.prepared import Prepared, make_prepared
 from app.settings import Settings
 from app.simulators import OURS, RECORDED, registered
 from app.store import beside, results, runs
 from core.errors import ParameterError
-from core.run import Run, RunMeta
+from core.run import Run as CoreRun
+from core.run import RunMeta
 from core.simulation.foreign import Foreign, recorded
 from core.simulation.scenarios import SCENARIOS
 
-Loaded = tuple[Run, tuple[str, str, Any] | None, Run | None]
+Loaded = tuple[CoreRun, tuple[str, str, Any] | None, CoreRun | None]
 """A run; method, label and columns of its best path; the simulated run that was stored beside it."""
 
 
@@ -112,7 +114,9 @@ class Sandbox:
                 self._foreign = registered(self._settings.simulators)
             return self._foreign
 
-    def _make(self, whole: Run, best: Any, aside: Run | None, start: float, end: float, *, recorded: bool) -> Prepared:
+    def _make(
+        self, whole: CoreRun, best: Any, aside: CoreRun | None, start: float, end: float, *, recorded: bool
+    ) -> Prepared:
         t0, t1 = whole.span
         part = (start, end) != (t0, t1)
         cut = whole.crop(start, end) if part else whole
@@ -142,14 +146,16 @@ class Sandbox:
         return Source(("scenario", scenario or ""), made.span, lambda: (made, None, None))
 
     def _stored(self, run_id: str) -> Source:
-        """Few rows are read with every move: the run itself only where it is not at hand."""
+        """Two rows of a few columns are read with every move, the run itself only where it is not at hand."""
+        columns = (Run.id, Run.name, Run.t0, Run.t1, Run.source)
         with reading(self._engine) as session:
-            row = runs.get_run(session, run_id)
-            estimates = results.latest_by_method(session, run_id)
-            method = next((m for m in results.PREFERENCE if m in estimates), None)
-            best = estimates[method].id if method else ""
-            aside = " ".join(sorted(beside.keys(row.source)))
-            return Source(("run", row.id, row.name, best, aside), (row.t0, row.t1), lambda: self._load(run_id))
+            row = session.execute(select(*columns).where(Run.id == run_id, Run.deleted_at.is_(None))).one_or_none()
+            if row is None:  # gone, or known by the id that it had while it was live
+                return self._stored(runs.get_run(session, run_id).id)
+            newest = session.scalar(select(func.max(Estimate.created_at)).where(Estimate.run_id == row.id))
+            found: str = row.id
+            key = ("run", found, row.name, str(newest), *sorted(beside.keys(row.source)))
+            return Source(key, (row.t0, row.t1), lambda: self._load(found))
 
     def _load(self, run_id: str) -> Loaded:
         with reading(self._engine) as session:
@@ -162,7 +168,7 @@ class Sandbox:
 
     @staticmethod
     @functools.cache
-    def _scenario(name: str) -> Run:
+    def _scenario(name: str) -> CoreRun:
         if name not in SCENARIOS:
             raise ParameterError(
                 f"there is no scenario {name!r}", parameter="scenario", expected=list(SCENARIOS), found=name

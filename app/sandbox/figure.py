@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app.figures.path import shape_points
 from app.figures.series import thin_rows, window
 from app.sandbox.prepared import Prepared
 from core.errors import ParameterError
@@ -88,7 +87,7 @@ def _lines(
     wanted = one.channels if view.streams is None else tuple(view.streams)
     return {
         "paths": [
-            _path(method, label, columns, inside, view.path_points)
+            _path(one, method, label, columns, inside, view.path_points)
             for method, label, columns in paths
             if columns is not None
         ],
@@ -109,14 +108,12 @@ def _figures(value: Figures) -> dict[str, float]:
 
 
 def _path(
-    method: str, label: str, columns: Mapping[str, Array], inside: tuple[float, float], points: int
+    one: Prepared, method: str, label: str, columns: Mapping[str, Array], inside: tuple[float, float], points: int
 ) -> dict[str, Any]:
     """A line of the map, thinned."""
-    rows = window(columns["t"], *inside)
-    shown = {name: columns[name][rows] for name in ("t", "x", "y", "theta")}
-    picked = shape_points(shown["t"], shown["x"], shown["y"], points)
-    cut = {name: np.asarray(values[picked], np.float64) for name, values in shown.items()}
-    return {"method": method, "label": label, "total": len(shown["t"]), "shown": len(picked), **cut}
+    rows, picked = one.thinned(method, columns, inside, points)
+    shown = {name: np.asarray(columns[name][rows][picked], np.float64) for name in ("t", "x", "y", "theta")}
+    return {"method": method, "label": label, "total": len(columns["t"][rows]), "shown": len(picked), **shown}
 
 
 def _column(

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from app.figures.path import shape_points
+from app.figures.series import window
 from app.simulators import RECORDED
 from core.effects import EFFECTS
 from core.errors import DriftscopeError, MissingStreamError, ParameterError
@@ -31,6 +33,8 @@ from core.simulation.inputs import prepare
 from core.simulation.links import body_from_wheels, truth_from_path
 
 Array = npt.NDArray[np.float64]
+
+Picked = tuple[slice, npt.NDArray[np.intp]]
 
 PATH_STEP = 0.05
 """Spacing of the simulated path where the run has no truth [s]."""
@@ -75,6 +79,7 @@ class Prepared:
     beside: Run | None = None
     _nominal: dict[tuple[str, int, bool], Run] = field(default_factory=dict)
     _made: dict[tuple[str, str, int], Run] = field(default_factory=dict)
+    _thin: dict[str, tuple[Any, tuple[tuple[float, float], int], Picked]] = field(default_factory=dict)
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _making: threading.Lock = field(default_factory=threading.Lock)
 
@@ -142,6 +147,19 @@ class Prepared:
         if truth is None or truth.x is None or truth.y is None or truth.theta is None:
             return None
         return {"t": truth.t, "x": truth.x, "y": truth.y, "theta": truth.theta}
+
+    def thinned(self, method: str, columns: Mapping[str, Any], inside: tuple[float, float], points: int) -> Picked:
+        """Rows of a path within `inside` [s], and about `points` of them that keep its shape.
+
+        Of a path that is the same as at the last move they are known.
+        """
+        known = self._thin.get(method)
+        if known is not None and known[0] is columns["x"] and known[1] == (inside, points):
+            return known[2]
+        rows = window(columns["t"], *inside)
+        found = rows, shape_points(columns["t"][rows], columns["x"][rows], columns["y"][rows], points)
+        self._thin[method] = (columns["x"], (inside, points), found)
+        return found
 
     def readings(self, made: Run, name: str) -> Array:
         """(N,) a simulated column at the run's own stamps; NaN where the simulator has no reading."""

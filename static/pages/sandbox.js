@@ -10,6 +10,7 @@ import { createMap } from "../lib/map.js";
 import { createTimeCursor } from "../lib/timecursor.js";
 import { createEffects } from "./sandbox-effects.js";
 import { mountSandboxScene } from "./sandbox-scene.js";
+import { humanOf } from "./sandbox-scale.js";
 import { createStreams } from "./sandbox-streams.js";
 
 const page = pageData();
@@ -18,7 +19,7 @@ const LINES = {
   real: { label: "real", color: "--method-truth", dash: [], width: 1.75 },
   nominal: { label: "nominal", color: "--ink-3", dash: [6, 4], width: 1.5 },
   patched: { label: "patched", color: "--c2", dash: [], width: 2 },
-  recorded: { label: "recorded simulation", color: "--c4", dash: [2, 4], width: 1.75 },
+  recorded: { label: "recorded sim", color: "--c4", dash: [2, 4], width: 1.75, robot: false },
 };
 const stretch = { start: given("start"), end: given("end") };
 let clock = null;
@@ -29,6 +30,7 @@ let map = null;
 let busy = false;
 let waiting = false;
 let told = null;
+let effects = new Map(); // the table, by id
 let movedAt = null; // when the oldest move that is not yet on the screen was made
 let measuring = false;
 let stale = false; // the gap is of an older move
@@ -132,7 +134,14 @@ function tell(answer, { event, asked, answered }) {
 
 /* the sentence and the gap */
 
-const words = (values) => Object.entries(values).map(([id, v]) => `${id.replaceAll("_", " ")} ${Object.values(v).map((x) => (typeof x === "number" ? number(x, 4) : x)).join(", ")}`);
+const words = (values) => Object.entries(values).map(([id, v]) => `${id.replaceAll("_", " ")} ${Object.entries(v).map(([name, x]) => told4(id, name, x)).join(", ")}`);
+
+/** Four digits and the unit that its slider has. */
+function told4(id, name, value) {
+  if (typeof value !== "number") return value;
+  const human = humanOf(effects.get(id)?.parameters.find((p) => p.name === name)?.unit ?? "");
+  return `${Number((value * human.factor).toPrecision(4))}${human.unit && human.unit !== "-" ? ` ${human.unit}` : ""}`;
+}
 
 function paintGap({ gap, no_gap: why }) {
   streams.showGap(gap);
@@ -156,7 +165,7 @@ function paintGap({ gap, no_gap: why }) {
     h("span", { "data-term": "sandbox_gap" }, "Gap ", h("b", { id: "gap-now" }, number(gap.now)), " × the noise"),
     h("span", { class: "dim" }, `nominal `, h("span", { id: "gap-before" }, number(gap.before)), `, floor ${number(gap.floor)}`),
     h("div", { class: "gap-bar", role: "img", "aria-label": `gap ${number(gap.now)}, nominal ${number(gap.before)}, floor ${number(gap.floor)}` }, bars.map(([n, v]) => bar(n, v)), bar("floor", gap.floor)),
-    h("span", { class: "dim" }, gap.shrink === null ? "nothing above the floor" : `${number(Math.abs(100 * gap.shrink))} % ${gap.shrink < 0 ? "more" : "of it gone"}`),
+    h("span", { class: "dim" }, gap.shrink === null ? "nothing above the floor" : gap.shrink < -1 ? `${number(gap.now / gap.before)} times as far` : `${number(Math.abs(100 * gap.shrink))} % ${gap.shrink < 0 ? "more" : "of it gone"}`),
   );
   const verb = gap.now < gap.before * 0.995 ? "falls" : gap.now > gap.before * 1.005 ? "rises" : "stays";
   $("#verdict").textContent = names.length ? `With ${names.join("; ")} the gap ${verb}${verb === "stays" ? " at" : ` from ${number(gap.before)} to`} ${number(gap.now)} times the noise (floor ${number(gap.floor)}).` : `The simulator as it is: ${number(gap.before)} times the noise, floor ${number(gap.floor)}. Move an effect.`;
@@ -287,6 +296,7 @@ async function start() {
   startBar();
   try {
     const [table, first] = await Promise.all([api("effects"), packed("sandbox/simulate", { ...wanted({}), simulator: null })]);
+    effects = new Map(table.items.map((e) => [e.id, e]));
     startClock(first.source);
     panel = createEffects($("#effects"), { effects: table.items, source: first.source, reach: reachOf(first), values: effectsOfLink(), onMove: moved });
     map = createMap($("#map"), { clock, subject: first.source.name, fileName: "sandbox" });
@@ -294,6 +304,7 @@ async function start() {
     streams = createStreams($("#streams"), { clock, source: first.source, lines: LINES, onSight: () => move() });
     scene = mountSandboxScene($("#scene"), page.source.run ?? `scenario-${page.source.scenario}`, first.source.reference, clock);
     tellLines(first);
+    show(first); // there is a picture even where what the link asks for is refused
     await move();
   } catch (error) {
     $("#problem").replaceChildren(problemNote(error));

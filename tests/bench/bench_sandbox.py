@@ -1,9 +1,9 @@
-"""The sandbox as it is felt: ms from an input event on a slider to the last paint of 2D in Chromium, by the page's marks.
+"""The sandbox as it is felt: ms from an input event on a slider to the last paint of 2D, in Chromium, by its marks.
 
 A recorded mission (130 s) and a drive of 17 min, every stream, on a server of its own. Singles: one key press after the
 other, each once the last is painted. Held: 40 presses a second. `request`: from asking to the answer's arrival;
-`drawing`: from there to the paint. 3D in software draws on the same cores: once with it, once without. Wall times need a
-quiet machine; `processor`: what a single move costs the page's main thread and the server, the gap number included.
+`drawing`: from there to the paint. 3D in software draws on the same cores: once with it, once without. Wall times want
+a quiet machine; `processor`: what a single move costs the page's main thread and the server, the gap number included.
 `bench_sandbox.py mission flat` does one drive, without 3D.
 """
 
@@ -146,6 +146,7 @@ def main() -> None:
                     context = browser.new_context(
                         base_url=str(client.base_url), viewport={"width": 1280, "height": 800}
                     )
+                    context.set_default_timeout(180_000)
                     if what == "without 3D":
                         context.add_init_script(NO_3D)
                     bench(context.new_page(), run_id, what, server.pid)
