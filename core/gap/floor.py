@@ -20,6 +20,8 @@ Array = npt.NDArray[np.float64]
 
 NORMAL_MEDIAN = 0.67449
 """Median size of a standard normal number."""
+NORMAL_HIGH, HEAVY = 1.95996 / NORMAL_MEDIAN, (1.2, 2.0)
+"""Size that one normal number in twenty exceeds, over the median size; noise with so much more has tails; at most."""
 THIRD = np.sqrt(20.0)
 """Standard deviation of a third difference of unit white noise."""
 SATURATED = 5
@@ -143,6 +145,8 @@ def measure(worlds: list[World], residuals: Sequence[Mapping[str, Array]], speed
         if name.startswith("imu") and coarse > COARSE * sigma[name]:  # few levels: a median jumps from one to the next
             inside = far[np.abs(far) < TRIM * sigma[name]]
             sigma[name] = float(np.sqrt(np.mean(inside**2) / TRIMMED))
+        if name.startswith("truth"):
+            sigma[name] *= _tails(far)
         if name.startswith(("beacon", "ranges")):  # outliers sit in four differences each, but in one residual
             plain = np.concatenate([r[name] for r in residuals if name in r])
             direct = float(np.median(np.abs(plain - np.median(plain)))) / NORMAL_MEDIAN
@@ -156,6 +160,12 @@ def measure(worlds: list[World], residuals: Sequence[Mapping[str, Array]], speed
     if "imu.ax" in sigma and "imu.ay" in sigma:
         sigma, vibration, spread = _vibration(worlds, residuals, speeds, sigma)
     return Floor(sigma=sigma, sd=sd, sheet=sheet, vibration=vibration, vibration_sd=spread)
+
+
+def _tails(far: Array) -> float:
+    """By how much noise is wider than its median size says: a motion capture's markers swap, a lidar's scans slip."""
+    ratio = float(np.quantile(np.abs(far), 0.95)) / NORMAL_HIGH / max(float(np.median(np.abs(far))), 1e-15)
+    return 1.0 if ratio < HEAVY[0] else min(ratio, HEAVY[1])
 
 
 def _vibration(
