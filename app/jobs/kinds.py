@@ -52,6 +52,9 @@ def _ingest_arguments(session: Session, settings: Settings, job: Job) -> dict[st
 def _ingest_save(session: Session, settings: Settings, job: Job, manifest: dict[str, Any]) -> Saved:
     run = runs.add_run(session, manifest, is_example=bool(job.params.get("is_example")))
     following = jobs.first_jobs(session, run.id)
+    shown = job.params.get("is_example") and "commands" in run.stream_names.split()
+    if shown and not diagnoses.list_diagnoses(session, run=run.id, limit=1):  # so that there is a report to look at
+        following.append(jobs.create(session, "diagnose", run.id, diagnosis_params([run.id])))
     return Saved({"run_id": run.id}, f"stored as {run.name}", run.id, following)
 
 
