@@ -212,8 +212,13 @@ def shrunk(result: Result) -> str:
     if gap["shrink"] is None or not joint(result):
         return ""
     ci = gap.get("shrink_ci")
-    between = f" (90 %: {percent(ci[0], 3)} to {percent(ci[1], 3)})" if ci and None not in ci else ""
-    return f"{percent(gap['shrink'], 3)}{between}"
+    between = f" (90 %: {_near_all(ci[0])} to {_near_all(ci[1])})" if ci and None not in ci else ""
+    return f"{_near_all(gap['shrink'])}{between}"
+
+
+def _near_all(share_: float) -> str:
+    """98.7 %: what is left of the whole must show."""
+    return f"{100.0 * share_:.1f} %" if 0.9 < share_ < 1.0 else percent(share_, 3)
 
 
 # ---- drawn on the server for the report that needs nothing else

@@ -8,7 +8,7 @@ from typing import Any
 
 from app.figures import gap, gap_which
 from app.figures.gap_sentence import regressor_name, stream_name
-from app.figures.gap_words import label
+from app.figures.gap_words import label, quantity
 from app.figures.plot import Plot
 from app.figures.units import significant
 
@@ -125,4 +125,4 @@ def _unexplained(result: Mapping[str, Any]) -> str:
 def _noise(one: Mapping[str, Any]) -> Noise:
     ratio, sd = one.get("ratio"), one.get("ratio_sd")
     told = "not stated" if ratio is None else f"{significant(ratio)}{f' ± {significant(sd, 2)}' if sd else ''} times"
-    return Noise(stream_name(one["stream"]), f"{significant(one['sigma'])} {one['unit']}", told)
+    return Noise(stream_name(one["stream"]), quantity(one["sigma"], one["unit"]), told)

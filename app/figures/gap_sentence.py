@@ -103,9 +103,14 @@ def _whose(gap: Mapping[str, Any]) -> str:
 
 
 def _parts(causes: Sequence[Mapping[str, Any]], gap: Mapping[str, Any]) -> list[tuple[Mapping[str, Any], float]]:
-    """Each cause with its part of the gap: of what is explained, times how much of the gap that is."""
+    """Each cause with its part of the gap: of what is explained, times how much of the gap that is.
+
+    Shares are what leaving a cause out brings back; of causes that act in the same streams they add up to more than
+    all, and are told in proportion.
+    """
     shrink = gap["shrink"]
     whole = min(max(shrink, 0.0), 1.0) if shrink is not None else 1.0
+    whole /= max(sum(cause["share"] or 0.0 for cause in causes), 1.0)
     return [(cause, (cause["share"] or 0.0) * whole) for cause in causes]
 
 

@@ -80,7 +80,7 @@ def chances(result: Result, evidence: Evidence) -> list[Chance]:
     def rank(effect: str) -> tuple[float, int, float]:
         group = brackets.get(effect)
         lead = known[effect] if group is None else max(best[group], known[effect])
-        return -lead, -1 if group is None else group, -known[effect]
+        return -round(lead, 2), -1 if group is None else group, -round(known[effect], 2)  # then by share, as they come
 
     return [
         Chance(
