@@ -97,6 +97,7 @@ def _learning(length: float, config: FilterConfig) -> list[Constant]:
         Constant("DS_BIN_FIRST", _list(first), "1/s", "variance of the tail over N^2, before it is learnt"),
         Constant("DS_BIN_USUAL", _list(usual), "1/s", "variance of its mean's prior, 0, over N^2"),
         Constant("DS_TABLE", f"{kernel.TABLE}U", "blocks", "of the tail"),
+        Constant("DS_TAIL_PRIOR", number(kernel.TAIL_PRIOR), "rests", "that the prior of the tail counts for"),
         Constant("DS_DOUBT", number(kernel.DOUBT), "", "times its variance that the tail's mean must exceed, squared"),
         Constant("DS_GROUP", f"{kernel.GROUP}U", "blocks", "of a mean that the drift is learnt from"),
         Constant("DS_BANK", f"{size}U", "", "candidates of the drift"),

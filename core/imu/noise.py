@@ -177,13 +177,15 @@ def _fit(data: _Data, correlation: Floats, terms: Sequence[int], markov_tau: flo
 
 
 def _select(data: _Data, correlation: Floats, markov_tau: float = 0.0, terms: Sequence[int] = (0, 1, 2, 3)) -> _Model:
-    """Backward elimination: drop the term whose absence costs least, while that is less than COST_OF_TERM."""
+    """Backward elimination: drop the term whose absence costs least, while that is less than COST_OF_TERM. White noise,
+    which every sensor has, goes only where no other term may."""
     best = _fit(data, correlation, terms, markov_tau)
     while len(best.terms) > 1:
         trials = [
             _fit(data, correlation, [j for j in best.terms if j != k], best.markov_tau) for k in best.terms if k != 4
         ]
-        cheapest = min(trials, key=lambda m: m.chi2)
+        spared = [m for m in trials if 1 in m.terms and m.chi2 - best.chi2 <= COST_OF_TERM]
+        cheapest = min(spared or trials, key=lambda m: m.chi2)
         if cheapest.chi2 - best.chi2 > COST_OF_TERM:
             break
         best = cheapest

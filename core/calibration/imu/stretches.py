@@ -107,6 +107,9 @@ def stretches(runs: Sequence[Run]) -> tuple[list[Stretch], list[LeftOut], list[s
         segments, kind, note = _segments(run, imu)
         notes += [f"run {r + 1}: {text}" for text in (*told, *note)]
         values, text = _finite(readings(imu))
+        if not np.isfinite(values).any():
+            notes.insert(0, f"run {r + 1}: none of its readings is a finite number; it is left out")
+            continue
         notes += [f"run {r + 1}: {text}"] if text else []
         rows = np.isfinite(values[:, np.isfinite(values).any(axis=0)]).all(axis=1)
         t, values = imu.t[rows], values[rows]
@@ -209,8 +212,8 @@ def _stretch(r: int, k: int, kind: str, segment: Segment, t: Floats, values: Flo
 
 def _restless(cut: Floats, level: Floats) -> str:
     """The axis whose pieces' variance (`level`) is far beyond that from reading to reading; "" where there is none."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        times = np.sqrt(level / (np.diff(cut, axis=1) ** 2).mean(axis=(0, 1)) * 2)
+    steps = (np.diff(cut, axis=1) ** 2).mean(axis=(0, 1))
+    times = np.sqrt(np.divide(2 * level, steps, out=np.zeros(len(level)), where=steps > 0))  # 0: dead, told elsewhere
     return AXES[int(np.nanargmax(times))] if (times > RESTLESS).any() else ""
 
 

@@ -204,10 +204,8 @@ static void end_of_rest(ds_bias *s, uint32_t length)
             const float prior = known / usual; /* rests that the mean's prior, 0, counts for */
             bin->rests += 1.0f;
             bin->mean += clip(d, sqrtf(most)) / ds_least(bin->rests + prior, 1000.0f);
-            /* Its prior is as wide as it is large, and one rest shows it to sqrt(2) (known + variance). */
-            const float one = (known + ds_most(bin->variance, 0.0f)) / (bin_first[i] * white);
             bin->variance += (ds_least(d * d, most) - known - bin->variance)
-                             / ds_least(bin->rests + (2.0f * one * one), 400.0f);
+                             / ds_least(bin->rests + DS_TAIL_PRIOR, 400.0f);
             bin->one += (known + ds_most(bin->variance, 0.0f) - bin->one) / ds_least(bin->rests, 400.0f);
         }
     }

@@ -41,6 +41,7 @@ READING, SPREAD, NOISE, WHITE, HELD, LEARNT, WALK, SWING = range(8)
 EDGES = (0, 2, 5, 12, 25, 50)  # blocks since a rest began, of the bins that the tail is learnt in
 TABLE = 50
 DOUBT = 3.0  # times its own variance that the tail's mean must exceed, squared
+TAIL_PRIOR = 6.0  # stops that the prior of the tail counts for
 
 # Counters
 AT, BEGAN, FRESH, REFUSED, VETOED, OLD, OLD_SINCE, OLD_SIGN, GROUPED = range(9)
@@ -167,14 +168,10 @@ def _scale(s: State, c: Floats) -> None:
         s.level[WALK], s.level[SWING] = _drift(s, white)
         s.p[2, 2] = max(s.p[2, 2], s.level[SWING])
     for i in range(s.bins.shape[0]):
+        middle = (EDGES[i] + EDGES[i + 1]) / 2 * h
         s.bins[i, 2], s.bins[i, 4], s.bins[i, 5] = 0.0, 0.0, 0.0
-        s.bins[i, 3] = _first_variance(c, i, white)
+        s.bins[i, 3] = c[TAIL] * c[TAIL] * white * np.exp(-2 * middle / 5)
     _tabulate(s)
-
-
-@numba.njit(cache=False)
-def _first_variance(c: Floats, i: int, white: float) -> float:  # of the tail in bin i, before it is learnt
-    return c[TAIL] * c[TAIL] * white * np.exp(-(EDGES[i] + EDGES[i + 1]) / 5 * c[LENGTH])
 
 
 @numba.njit(cache=False)
@@ -218,12 +215,12 @@ def learn(s: State, c: Floats, slot: int) -> None:
         if since <= TABLE:
             _learn_tail(s, b, since)
             if since == TABLE:
-                _end_of_rest(s, c, TABLE + 5)
+                _end_of_rest(s, TABLE + 5, c[LENGTH])
         if c[GIVEN] <= 0:
             _learn_drift(s, c, b, since, s.mark[slot, 3])
     elif not rests:
         if n[OLD] == 1 and n[OLD_SINCE] < TABLE:
-            _end_of_rest(s, c, n[OLD_SINCE])
+            _end_of_rest(s, n[OLD_SINCE], c[LENGTH])
         s.group[3] += b[TIME]
         s.group[0], s.group[1], s.group[2] = 0.0, 0.0, 0.0
         s.start[0], s.start[1] = s.bias[slot]
@@ -264,9 +261,8 @@ def _learn_tail(s: State, b: Floats, since: int) -> None:
 
 
 @numba.njit(cache=False)
-def _end_of_rest(s: State, c: Floats, length: int) -> None:
+def _end_of_rest(s: State, length: int, h: float) -> None:
     """What was left in the bins that this rest filled."""
-    h = c[LENGTH]
     white = s.level[WHITE] * h
     for i in range(s.bins.shape[0]):
         m = s.bins[i, 1]
@@ -283,9 +279,7 @@ def _end_of_rest(s: State, c: Floats, length: int) -> None:
         # The mean's prior: 0 within 0.7 N, less where the rest has lasted.
         usual = 0.5 * white * np.exp(-(EDGES[i] + EDGES[i + 1]) / 8 * h) + 1e-3 * known
         q[2] += min(max(d, -np.sqrt(most)), np.sqrt(most)) / min(q[4] + known / usual, 1000.0)
-        # The variance's prior is as wide as it is large, and one rest shows it to sqrt(2) (known + variance).
-        one = (known + max(q[3], 0.0)) / _first_variance(c, i, white)
-        q[3] += (min(d * d, most) - known - q[3]) / min(q[4] + 2 * one * one, 400.0)
+        q[3] += (min(d * d, most) - known - q[3]) / min(q[4] + TAIL_PRIOR, 400.0)
         q[5] += (known + max(q[3], 0.0) - q[5]) / min(q[4], 400.0)
     _tabulate(s)
 
