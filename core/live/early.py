@@ -54,9 +54,12 @@ class Early:
     def __init__(self) -> None:
         self._paths: list[Trajectory] = []
         self._taken: list[Taken] = []
+        self._begun = False
 
     def by_wheels(self, path: Trajectory) -> None:
         """Poses by the wheels alone."""
+        if self._begun:
+            return
         self._paths.append(path)
         while self._paths[0].t[-1] < path.t[-1] - LONGEST:
             self._paths.pop(0)
@@ -86,7 +89,7 @@ class Early:
             gyro.take(taken)
             if published is not None:
                 published.take(taken)
-        self._paths, self._taken = [], []
+        self._paths, self._taken, self._begun = [], [], True
 
 
 def joined_paths(parts: list[Trajectory]) -> Trajectory:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from core.estimation import needs
 from core.estimation.assumptions import Config, assume
-from core.estimation.odometry import WheelPath
+from core.estimation.odometry import WheelPath, start_pose
 from core.estimation.published import missing as missing_for_published
 from core.estimation.rest import at_rest
 from core.estimation.result import Curve, Event
@@ -156,11 +156,13 @@ class LiveEstimator:
 
     def _roll(self, new: WheelPath) -> Trajectory | None:
         self._rolled.append(new)
-        if not self._meta.robot.track_width:
+        if not self._meta.robot.track_width:  # straight on, until the gyro tells the turns
+            x, y, theta = start_pose(Run(self._meta))[0]
+            at = x + new.d * np.cos(theta), y + new.d * np.sin(theta), np.full(len(new.t), theta)
+            self._early.by_wheels(Trajectory(new.t, *at))
             return None
         path = self.encoders.step(new)
-        if self.gyro is None:
-            self._early.by_wheels(path)
+        self._early.by_wheels(path)
         return path
 
     def _feel(self, taken: Taken) -> None:

@@ -221,6 +221,22 @@ def test_a_gyro_that_begins_after_the_wheels_is_used_from_then_on() -> None:
     assert all(reason is None or "beacon" in reason for reason in estimator.reasons().values())
 
 
+def test_a_robot_of_unknown_track_width_is_estimated_as_offline(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = recorded().crop(0.0, 8.0)
+    run = dataclasses.replace(
+        run, meta=dataclasses.replace(run.meta, robot=dataclasses.replace(run.meta.robot, track_width=None))
+    )
+    estimator, steps = stepped(run, pieces(run, 0.1))
+    assert estimator.rhythm is not None
+    sd = estimator.rhythm.gyro_sd
+    monkeypatch.setattr(odometry, "at_rest", lambda run, numbers: at_rest(run, numbers, sd))
+    assert_same(path(steps, "encoders+gyro"), estimate(run, "encoders+gyro").trajectory)
+    out, whole = offline(run, estimator)
+    np.testing.assert_allclose(path(steps, "fused").pose, whole.pose, atol=1e-9, rtol=0)
+    reasons = estimator.reasons()
+    assert {m for m in reasons if "track_width" in str(reasons[m])} == {"encoders", "published"}
+
+
 def test_what_is_kept_does_not_grow_with_the_run(both: list[tuple[LiveEstimator, list[Step]]]) -> None:
     estimator = both[0][0]
     assert all(len(log) < 700 for log in estimator._recent.run.logs().values())
