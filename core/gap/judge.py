@@ -20,8 +20,9 @@ Array = npt.NDArray[np.float64]
 TEMPER, LEFT = 2e-4, 0.05
 """Rivals are not told apart by less than this share of an effect's own drop, nor of what its model leaves over the
 noise: no model is exact to more than that."""
-SURE = 0.985
-"""No probability is higher: the world may hold what no candidate is."""
+SURE = 0.96
+"""No probability is higher: the world may hold what no candidate is. Of causes named on the worlds of the bench so many
+were right (app/guide/gap.md)."""
 LEADS = 0.51
 """Probability of the first of a set whose members these runs cannot tell apart, at least."""
 LEAST = {

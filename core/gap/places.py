@@ -80,6 +80,8 @@ def _patches(problem: Problem, bodies: list[Outputs]) -> list[Candidate]:
 
 
 Disc = tuple[float, float, float]
+WHOLE = 0.9
+"""A disc that holds more than this of what the runs tell is no patch."""
 REFINED = 6
 """So many discs of the grid have their edges moved over the points themselves."""
 MOVES = (0.2, 0.1, 0.05, 0.025, 0.012, 0.006)
@@ -90,6 +92,8 @@ def _slip(disc: Disc, xy: Array, score: Array, info: Array) -> tuple[float, floa
     """What a disc brings at its best slip, and that slip."""
     inside = (xy[:, 0] - disc[0]) ** 2 + (xy[:, 1] - disc[1]) ** 2 < disc[2] ** 2
     b, a = float(score @ inside), float(info @ inside)
+    if a > WHOLE * float(info.sum()):
+        return 0.0, 0.0  # that is no patch but the whole floor
     slip = float(np.clip(b / max(a, 1.0), *SLIPS))
     return 2.0 * slip * b - slip**2 * a, slip
 

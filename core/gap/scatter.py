@@ -33,6 +33,8 @@ APART, COMMON = 3.0, 0.35
 """Outliers are at least this much wider than the noise, and no more than this share."""
 AGREE = 1.12
 """Factors of two sensors nearer than this are one."""
+KNOWN = 0.08
+"""A sensor whose axes disagree by more than this share says nothing of another's sheet."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ def levels(floor: Floor) -> list[Scatter]:
         if group not in found:
             continue
         value, sd = found[group]
-        others = [f for name, (f, _) in found.items() if name != group]
+        others = [f for name, (f, s) in found.items() if name != group and s < KNOWN]
         if any(value / AGREE < other < value * AGREE for other in others) and value > AGREE:
             continue  # its sheet is as wrong as another's
         if value > 1.0 + 4.0 * sd:

@@ -18,7 +18,7 @@ from core.gap.linear import Model, Problem, cost_at, linearised, nuisances_of, s
 from core.gap.places import placed, polish
 from core.gap.scatter import gyro_left, gyro_walk
 from core.gap.screen import Screen
-from core.gap.unknown import blocked_by, rest_of
+from core.gap.unknown import Rest, blocked_by, rest_of
 from core.gap.visible import Sight
 from core.gap.world import IMU, WHEELS
 from core.robot import EffectSet
@@ -116,7 +116,10 @@ def search(
             break
         weighed = tuple((n, _priced(fit) + PRICE - _priced(one)) for both, one in fits for n in both.split("+"))
         if unknown is None:
-            unknown = _stranger(problem, fit, best, paired[0])
+            rest = rest_of(problem, fit)
+            unknown = _stranger(problem, rest, fit, best, paired[0])
+            if unknown is None and _drowned(rest, name.split("+"), fit.cost - best.cost):
+                break
             if unknown is not None:
                 before = fit.model
                 fit, unknown = _stood_in(problem, fit, unknown, scope)
@@ -226,20 +229,19 @@ def _enough(
     work there. One that only the IMU sees, and not at its tolerance, must bring more than an immaterial shape that
     is a little like it. A limit must bring what tolerated flaws of its channels would.
     """
-    moved = [name for name in EFFECTS[effect].streams if name in left]
-    worth = max(worth, _part_of(effect, left))
-    if moved and all(name in crumbs for name in moved):
-        worth = max(worth, ALIKE * min(crumbs[name] for name in moved))
+    worth = _least(effect, worth, left, crumbs)
     if effect in LIMITS:
         worth = max(worth, CRUMB * max((tolerated.get(name, 0.0) for name in EFFECTS[effect].streams), default=0.0))
     return gain >= worth
 
 
-def _part_of(effect: str, left: Mapping[str, float]) -> float:
-    """The part of what is left of its channels that an effect must take."""
+def _least(effect: str, worth: float, left: Mapping[str, float], crumbs: Mapping[str, float]) -> float:
+    """What an effect must bring: a part of what is left of its channels; seen by the IMU alone, more than crumbs."""
     moved = [name for name in EFFECTS[effect].streams if name in left]
     part = TAKES["wheels" if moved and moved[0] in WHEELS else "body"]
-    return part * max((left[name] for name in moved), default=0.0)
+    worth = max(worth, part * max((left[name] for name in moved), default=0.0))
+    alone = bool(moved) and all(name in crumbs for name in moved)
+    return max(worth, ALIKE * min(crumbs[name] for name in moved)) if alone else worth
 
 
 ALIKE = 0.1
@@ -261,7 +263,7 @@ def _masked(
 ) -> tuple[str, Fit] | None:
     """Two effects that hide each other: worth it only together."""
     gain, names = paired
-    if names is None or gain < 2.0 * max(worth, min(_part_of(name, _excess(fit)) for name in names)):
+    if names is None or gain < sum(_least(name, worth, _excess(fit), _crumbs(problem, fit)) for name in names):
         return None
     starts = {one.effect: dict(one.start) for one in reversed(fresh) if one.effect in names}
     return "+".join(names), refit(problem, {**fit.model, **starts}, scope, BRIEF)
@@ -313,10 +315,21 @@ PAIRED = 8
 """So many of the best candidates are also tried in pairs."""
 
 
-def _stranger(problem: Problem, fit: Fit, best: Fit, pair: float) -> tuple[Shape, float] | None:
+def _drowned(rest: Rest, added: Sequence[str], gain: float) -> bool:
+    """Whether a shape of no listed effect, though immaterial, does clearly more than effects that bring little."""
+    streams = {stream for name in added for stream in EFFECTS[name].streams}
+    more = max((value for shape, value in rest.shapes if blocked_by(shape) & streams), default=0.0)
+    return gain < min(DROWNED * more, LITTLE)
+
+
+DROWNED, LITTLE = 0.7, 10.0 * WORTH
+"""An effect must bring this share of what the best shape in its channels does, unless it brings more than a little."""
+
+
+def _stranger(problem: Problem, rest: Rest, fit: Fit, best: Fit, pair: float) -> tuple[Shape, float] | None:
     """A shape that takes more than the best listed effect, the best two, and a walking gyro bias; else None."""
     listed = max(fit.cost - best.cost, pair)
-    shape, gain = rest_of(problem, fit).best
+    shape, gain = rest.best
     if shape is None or gain < BEYOND * listed + MARGIN:
         return None
     if "imu.gz" in blocked_by(shape) and "imu.gz" in problem.floor.sigma and problem.floor.gyro_walk == 0.0:

@@ -9,6 +9,7 @@ deviance most; shrinkage is told as a share of what the true effects themselves 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import sys
 import time
@@ -155,7 +156,7 @@ def score(
 
 def mujoco_cases(kind: str, seeds: range) -> Iterator[Case]:
     """MuJoCo's robot with one change, or none."""
-    from tests.plants.gap_mujoco import PHYSICAL, Ride, ride_run
+    from tests.plants.gap_mujoco import PHYSICAL, Ride, leaning, ride_run
 
     for seed in seeds:
         rng = np.random.default_rng([seed, 11])
@@ -165,7 +166,7 @@ def mujoco_cases(kind: str, seeds: range) -> Iterator[Case]:
             effects = draw(name, 2.5 if "small" in kind else float(rng.uniform(6.0, 30.0)), rng)
         ride = Ride(seed, effects=effects)
         runs = [ride_run(replace(ride, part=k, seconds=t)) for k, t in enumerate((50.0, 40.0, 40.0))]
-        yield runs[:2], runs[2], effects, "+".join(effects)
+        yield runs[:2], runs[2], leaning(effects), "+".join(effects)
 
 
 def cases(stratum: str, seeds: range) -> Iterator[Case]:
@@ -231,6 +232,28 @@ def table(lines: Sequence[dict[str, Any]]) -> None:
         hit = np.mean(np.array(strange) > limit)
         print(f"\nunknown against known: area {auc:.3f}, hits at 5 % false alarms {hit:.2f}")
     print(f"calibration error over everything: {calibration(lines):.3f}")
+    for name, mine in (
+        ("plant", [line for line in lines if not line["stratum"].startswith(("mujoco", "shared"))]),
+        ("MuJoCo", [line for line in lines if line["stratum"].startswith("mujoco")]),
+    ):
+        reliability(name, mine)
+
+
+CLASSES = (0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 1.001)
+
+
+def reliability(name: str, lines: Sequence[dict[str, Any]]) -> None:
+    """Per class of probability: how many, their mean, and the share that was so; the calibration error."""
+    rows = np.array([pair for line in lines for pair in line["pairs"]]).reshape(-1, 2)
+    if not len(rows):
+        return
+    print(f"\n| {name}: probability | n | mean | was so |\n| --- | --- | --- | --- |")
+    for low, high in itertools.pairwise((0.0, *CLASSES)):
+        inside = rows[(rows[:, 0] >= low) & (rows[:, 0] < high)]
+        if len(inside):
+            told, so = inside.mean(axis=0)
+            print(f"| {low:.2f} to {min(high, 1.0):.2f} | {len(inside)} | {told:.3f} | {so:.3f} |")
+    print(f"calibration error, {name}: {calibration(lines):.3f}")
 
 
 def main() -> None:

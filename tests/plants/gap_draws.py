@@ -88,7 +88,7 @@ def draw(name: str, times: float, rng: np.random.Generator) -> Effects:
         "beacon_noise": {"factor": 1.0 + 0.1 * min(times, 15.0)},
         "beacon_outliers": {"rate": min(0.015 * times, 0.2), "size": 0.5},
         "beacon_shadow": {"x": 2.5, "y": 2.0, "radius": min(0.1 * times, 0.7)},
-        "bump": {"time": float(rng.uniform(10.0, 60.0)), "distance": sign * 0.002 * times, "turn": 0.005 * times},
+        "bump": {"time": float(rng.uniform(8.0, 30.0)), "distance": sign * 0.002 * times, "turn": 0.005 * times},
     }
     return {name: others[name]}
 
@@ -98,6 +98,10 @@ SEES = {
     "commands": ("command_delay", "motor_lag", "_limit", "deadband", "drive_gain", "battery_sag", "missed_ticks"),
 }
 """Effects that show only, or chiefly, in a stream (parts of their names)."""
+
+
+KINDS = {"small": 5, "pair": 11, "no truth": 19, "no imu": 23, "no commands": 29}
+"""Where each kind of case begins in the list of effects: together they draw all."""
 
 
 def _names_for(kind: str) -> list[str]:
@@ -115,7 +119,7 @@ def plans(kind: str, seed: int, ordinary: bool = True) -> tuple[list[Plan], Plan
     rng = np.random.default_rng([seed, 7])
     names = _names_for(kind)
     times = float(np.exp(rng.uniform(np.log(6.0), np.log(30.0)))) if kind != "small" else 2.5
-    chosen = [] if kind in ("null", "noise", "open") else [names[(seed * 17) % len(names)]]
+    chosen = [] if kind in ("null", "noise", "open") else [names[(seed * 17 + KINDS.get(kind, 0)) % len(names)]]
     if kind == "pair":
         chosen.append(str(rng.choice([n for n in names if n not in chosen])))
     effects: dict[str, dict[str, float | str]] = {}

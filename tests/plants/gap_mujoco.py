@@ -16,6 +16,7 @@ from core.robot import Pose
 from core.run import Run
 from tests.plants.gap_plant import Effects, get
 from tests.plants.mujoco_robot import CONTROL, RADIUS, Flaws, Floats, History, Machine, Sensors, mjcf, sense
+from tests.plants.mujoco_robot import TRACK as ROBOT_TRACK
 from tests.plants.mujoco_worlds import rest, visit
 
 SERVO = 7.0  # N m s/rad: with this robot's inertia a lag of some 6 ms, which run.json does not tell
@@ -33,10 +34,11 @@ class Ride:
     ranges: bool = False
 
 
+# It turns on the spot and drives straight: what sideways force does, it cannot show.
 PHYSICAL = (
     "wheel_radius", "unequal_wheels", "track_width", "motor_lag", "command_delay", "speed_limit", "drive_gain",
     "deadband", "battery_sag", "imu_yaw", "imu_offset", "floor_tilt", "gyro_bias", "gyro_scale", "gyro_drift",
-    "gyro_g_sensitivity", "gyro_noise", "gyro_clip", "accel_bias", "accel_scale", "missed_ticks", "beacon_delay",
+    "gyro_noise", "gyro_clip", "accel_bias", "accel_scale", "missed_ticks", "beacon_delay",
     "beacon_shift", "beacon_rotation", "beacon_scale", "tag_offset", "beacon_noise", "imu_clock", "clock_drift",
 )  # fmt: skip
 
@@ -52,7 +54,8 @@ class Robot(Machine):
                             f'{-0.02 + get(e, "imu_offset", "y", 0.0)} 0"')  # fmt: skip
         text = text.replace('damping="0.01"', 'damping="0"').replace('solref="0.01 1"', 'solref="0.004 1"')
         scale = get(e, "wheel_radius", "scale", 1.0)
-        if scale != 1.0:
+        if scale != 1.0:  # the caster as well, or the IMU would be tilted
+            text = text.replace('pos="-0.17 0 -0.03"', f'pos="-0.17 0 {-0.03 - RADIUS * (scale - 1.0)}"')
             for side in (RADIUS * (1 - flaws.inequality / 2), RADIUS * (1 + flaws.inequality / 2)):
                 text = text.replace(f'size="{side} 0.02 {side}"', f'size="{side * scale} 0.02 {side * scale}"')
         self.model = mujoco.MjModel.from_xml_string(text)
@@ -60,7 +63,15 @@ class Robot(Machine):
         sx, sy = get(e, "floor_tilt", "slope_x", 0.0), get(e, "floor_tilt", "slope_y", 0.0)
         self.model.opt.gravity[:] = (-g * sx, -g * sy, -g)
         self.data = mujoco.MjData(self.model)
-        self.data.qpos[:7] = (start.x, start.y, RADIUS, math.cos(start.theta / 2), 0, 0, math.sin(start.theta / 2))
+        self.data.qpos[:7] = (
+            start.x,
+            start.y,
+            RADIUS * scale,
+            math.cos(start.theta / 2),
+            0,
+            0,
+            math.sin(start.theta / 2),
+        )
         for _ in range(200):
             mujoco.mj_step(self.model, self.data)
         self.data.time = 0.0
@@ -97,6 +108,15 @@ def _servo(e: Effects) -> float:
     lag = get(e, "motor_lag", "tau", 0.0)
     own = 0.0415 / SERVO
     return 0.0415 / max(lag, own)
+
+
+def leaning(effects: Effects) -> Effects:
+    """The effects with what the physics adds: on unequal tyres the robot leans, and its accelerometer with it."""
+    if "unequal_wheels" not in effects:
+        return effects
+    lean = RADIUS * (get(effects, "unequal_wheels", "ratio", 1.0) - 1.0) / ROBOT_TRACK
+    bias = -9.81 * lean
+    return effects if abs(bias) < 0.002 else {**effects, "accel_bias": {"x": 0.0, "y": bias}}
 
 
 def ride_run(ride: Ride) -> Run:
