@@ -77,7 +77,7 @@ def judge_perfect(name: str, settings: dict[str, object], seeds: range) -> None:
         tilt = G * rig.fixture * np.sqrt(2 / 3)
         left = judged.mean_left_sensor
         print(
-            f"  seed {seed}: accelerometer off by {raw:.3f} m/s2; left by the truth {left[0]:.1%} (gyro {left[1]:.1%}), "
+            f"  seed {seed}: accelerometer off by {raw:.3f} m/s2; left by the truth {left[0]:.1%}, gyro {left[1]:.1%}; "
             f"with tilts {np.hypot(left[0], tilt / raw):.1%}",
             flush=True,
         )
