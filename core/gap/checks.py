@@ -6,11 +6,14 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from core.effects import EFFECTS
 from core.errors import MissingStreamError, NotEnoughDataError, ParameterError
 from core.robot import EffectSet
 from core.run import Run
+
+Array = npt.NDArray[np.float64]
 
 SHORTEST = 4.0
 """Seconds of data below which nothing can be said."""
@@ -103,6 +106,91 @@ def _drivable(run: Run) -> None:
                 f"{lead[1]:.1f} s: their clocks do not match",
                 parameter=f"{name}.t",
             )
+    for name, log in logs.items():
+        for column, values in log.columns().items():
+            if column in READ and values.dtype.kind == "f" and not np.isfinite(values).any():
+                raise MissingStreamError(
+                    f"{name}.{column} of {run.meta.name or 'the run'} holds no value: leave the column out",
+                    method="diagnose",
+                    missing=[f"{name}.{column}"],
+                )
+    _clocks(run)
+
+
+READ = frozenset(("gz", "ax", "ay", "x", "y", "theta", "range", "left", "right"))
+"""Columns that are compared with the simulator's."""
+RATE, LOOKED, APART = 20.0, 20.0, 1.0
+"""Turn rates are compared at this rate [Hz], shifted by up to so many seconds; a better fit beyond that many is no
+effect but another clock."""
+LEAST_SEEN = 8.0
+"""Less of both together tells nothing [s]."""
+ALIKE, BETTER = 0.7, 0.3
+"""Correlation that the better fit must have, and by how much more than without a shift."""
+
+
+def _clocks(run: Run) -> None:
+    """Refuse a gyro or a reference whose turning is that of the drive, seconds earlier or later."""
+    drive = _turning(run, "wheels") or _turning(run, "commands")
+    for name in ("imu", "truth"):
+        seen = _turning(run, name)
+        if drive is None or seen is None:
+            continue
+        first, last = max(drive[0][0], seen[0][0]), min(drive[0][-1], seen[0][-1])
+        t = np.arange(first, last, 1.0 / RATE)
+        if len(t) < LEAST_SEEN * RATE:
+            continue
+        a, b = (np.interp(t, *one) for one in (drive, seen))
+        late, best, now = _shift(a - a.mean(), b - b.mean())
+        if abs(late) > APART and best > max(ALIKE, now + BETTER):
+            raise ParameterError(
+                f"{name} of {run.meta.name or 'the run'} turns as the drive does {abs(late):.1f} s "
+                f"{'after' if late > 0 else 'before'} it: their clocks do not match; take {late:.1f} s off its stamps",
+                parameter=f"{name}.t",
+                found=late,
+            )
+
+
+def _turning(run: Run, name: str) -> tuple[Array, Array] | None:
+    """Stamps and turn rate [rad/s, or a multiple of it] as a stream has them; None where it does not turn."""
+    log = getattr(run, name)
+    columns = {} if log is None else log.columns()
+    if log is None or len(log) < MANY:
+        return None
+    if name == "wheels":
+        angle = (columns["right"] - columns["left"]) * (run.meta.robot.wheel_radius or 1.0)
+        rate = np.gradient(np.asarray(angle, dtype=np.float64), log.t) / (run.meta.robot.track_width or 1.0)
+    elif name == "truth":
+        if "theta" not in columns:
+            return None
+        known = np.isfinite(columns["theta"])
+        if known.sum() < MANY:
+            return None
+        turned = np.unwrap(np.asarray(columns["theta"], dtype=np.float64)[known])
+        rate = np.interp(log.t, log.t[known], np.gradient(turned, log.t[known]))
+    else:
+        rate = np.asarray(columns["w" if name == "commands" else "gz"], dtype=np.float64)
+    rate = np.nan_to_num(rate)
+    return (log.t, rate) if float(np.std(rate)) > TURNS else None
+
+
+MANY, TURNS = 20, 0.05
+"""A stream with fewer readings, or less turning [rad/s], tells nothing of its clock."""
+
+
+def _shift(a: Array, b: Array) -> tuple[float, float, float]:
+    """By how much b is late [s] where it fits a best, the correlation there, and as they stand."""
+    size = 1 << int(2 * len(a) - 1).bit_length()
+    product = np.fft.irfft(np.fft.rfft(b, size) * np.conj(np.fft.rfft(a, size)), size)
+    most = int(min(LOOKED * RATE, len(a) // 3))
+    lags = np.arange(-most, most + 1)
+    sums = [np.concatenate(([0.0], np.cumsum(part * part))) for part in (a, b)]
+    n = len(a)
+    shared = (sums[0][n - np.maximum(lags, 0)] - sums[0][np.maximum(-lags, 0)]) * (
+        sums[1][n + np.minimum(lags, 0)] - sums[1][np.maximum(lags, 0)]
+    )
+    both = product[lags] / np.sqrt(np.maximum(shared, 1e-12))
+    k = int(np.argmax(both))
+    return float(lags[k]) / RATE, float(both[k]), float(both[most])
 
 
 def _moving(runs: Sequence[Run]) -> None:

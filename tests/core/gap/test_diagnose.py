@@ -118,6 +118,13 @@ def test_bad_input_is_refused_with_advice() -> None:
         diagnose([run, other])
     with pytest.raises(NotEnoughDataError, match="too few"):
         diagnose([run.crop(0.0, 2.0)])
+    assert run.imu is not None and run.truth is not None
+    with pytest.raises(MissingStreamError, match=r"imu\.gz of .* holds no value"):
+        diagnose([dataclasses.replace(run, imu=dataclasses.replace(run.imu, gz=np.full(len(run.imu), np.nan)))])
+    with pytest.raises(ParameterError, match=r"imu of .* 2\.0 s after it: their clocks do not match"):
+        diagnose([dataclasses.replace(run, imu=dataclasses.replace(run.imu, t=run.imu.t + 2.0))])
+    with pytest.raises(ParameterError, match=r"truth of .* 1\.5 s before it"):
+        diagnose([dataclasses.replace(run, truth=dataclasses.replace(run.truth, t=run.truth.t - 1.5))])
 
 
 def test_floor_is_the_sensors_own_noise_whatever_effect_acts() -> None:
