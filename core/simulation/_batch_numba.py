@@ -13,7 +13,7 @@ from numba import njit, prange
 
 from core.simulation import params as P
 from core.simulation._drive_numba import compiled
-from core.simulation._rollout_numba import EDGE, NODE, STATE, rollout
+from core.simulation._rollout_numba import EDGE, STATE, rollout
 from core.simulation._sense_numba import path_edges, sense_beacon, sense_imu, sense_pose, sense_ranges, sense_wheels
 
 Array = npt.NDArray[np.float64]
@@ -105,13 +105,13 @@ def _entry_points(
         sets: Array,
         ends: Array,
         inputs: Inputs,
-        capacity: int,
+        room: Array,
         out: Outputs,
         status: Indices,
         first: int,
         step: int,
     ) -> None:
-        nodes = np.empty((capacity, NODE))
+        nodes = room[first]
         edges, state = np.empty((inputs.grid.shape[0], EDGE)), np.empty(STATE)
         rolled = -1
         for b in range(first, sets.shape[0], step):
@@ -171,11 +171,11 @@ def _in_threads(digest: int) -> Callable[..., None]:
 
     @njit(cache=True, parallel=True, error_model="numpy")
     def simulate_batch(
-        sets: Array, ends: Array, inputs: Inputs, capacity: int, out: Outputs, status: Indices, workers: int
+        sets: Array, ends: Array, inputs: Inputs, room: Array, out: Outputs, status: Indices, workers: int
     ) -> None:
         for k in prange(workers):
             if digest:
-                simulate_every(sets, ends, inputs, capacity, out, status, k, workers)
+                simulate_every(sets, ends, inputs, room, out, status, k, workers)
 
     return simulate_batch
 
@@ -185,9 +185,10 @@ _DIGEST = zlib.crc32(b"".join(Path(__file__).with_name(name).read_bytes() for na
 
 simulate_every, roll, sense_path = _entry_points(_DIGEST)
 simulate_batch = _in_threads(_DIGEST)
-"""simulate_every(sets, ends, inputs, capacity, out, status, first, step): parameter sets first, first + step, ... of
-`sets` (B, SLOTS), each to its end (B,) [s]; status (B,) gets the number of nodes, or -1 where `capacity` was too small.
-simulate_batch(sets, ends, inputs, capacity, out, status, workers): the same, all sets, dealt out over threads.
+"""simulate_every(sets, ends, inputs, room, out, status, first, step): parameter sets first, first + step, ... of `sets`
+(B, SLOTS), each to its end (B,) [s]; room (step or more, capacity, NODE) is worked in; status (B,) gets the number of
+nodes, or -1 where there was too little room.
+simulate_batch(sets, ends, inputs, room, out, status, workers): the same, all sets, dealt out over threads.
 roll(par, end, inputs, nodes, edges): the path alone; returns the number of nodes or -1.
 sense_path(par, nodes, inputs, out): the readings of a smooth path given by its nodes, into row 0.
 """

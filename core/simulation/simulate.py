@@ -7,9 +7,10 @@ start (one cropped out of a longer run) begins at rest at the map's origin with 
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +23,7 @@ from core.sensors import BeaconLog, ImuLog, RangeLog, TruthLog, WheelLog
 from core.simulation import _noise
 from core.simulation import params as P
 from core.simulation._batch_numba import Inputs, Outputs, simulate_batch, simulate_every
-from core.simulation._rollout_numba import MAX_STEP
+from core.simulation._rollout_numba import MAX_STEP, NODE
 from core.simulation._sense_numba import GRAVITY
 from core.simulation.inputs import prepare
 
@@ -75,15 +76,38 @@ def simulate_sets(inputs: Inputs, sets: Array, *, parallel: bool = True) -> tupl
     ends = np.array([last_instant(inputs, par) for par in sets])
     out = blank_outputs(inputs, len(sets))
     status = np.full(len(sets), -1, np.int64)
-    room = capacity(inputs, float(ends.max(initial=0.0)))
+    rows = capacity(inputs, float(ends.max(initial=0.0)))
+    workers = min(get_num_threads(), len(sets)) if parallel else 1
     while len(sets) and (status < 0).any():
-        if parallel and len(sets) > 1:
-            with _BATCH_LOCK:
-                simulate_batch(sets, ends, inputs, room, out, status, min(get_num_threads(), len(sets)))
-        else:
-            simulate_every(sets, ends, inputs, room, out, status, 0, 1)
-        room *= 2
+        with _room(workers, rows) as room:
+            if workers > 1:
+                with _BATCH_LOCK:
+                    simulate_batch(sets, ends, inputs, room, out, status, workers)
+            else:
+                simulate_every(sets, ends, inputs, room, out, status, 0, 1)
+        rows *= 2
     return out, status
+
+
+_ROOMS: list[Array] = []
+MOST_ROOMS, LARGEST_ROOM = 2, 256 << 20
+"""Rooms that are kept for the next simulation, and the largest of them [bytes, of which those in use are memory]."""
+
+
+@contextlib.contextmanager
+def _room(workers: int, rows: int) -> Iterator[Array]:
+    """(workers or more, rows or more, NODE) to work in. Fresh memory costs as much time as a simulation does."""
+    try:
+        room = _ROOMS.pop()
+    except IndexError:
+        room = np.empty((0, 0, NODE))
+    if room.shape[0] < workers or room.shape[1] < rows:
+        room = np.empty((workers, rows, NODE))
+    try:
+        yield room
+    finally:
+        if room.nbytes <= LARGEST_ROOM and len(_ROOMS) < MOST_ROOMS:
+            _ROOMS.append(room)
 
 
 COLUMNS = {
