@@ -15,7 +15,7 @@ import numpy.typing as npt
 from core.estimation.assumptions import Assumptions
 from core.estimation.cleaning import finite_rows, forward_acceleration, gyro_readings
 from core.estimation.fusion.layout import BR, FIX, JUMP, KR, OUT, RANGE, REST, STILL, WHEEL, N, Readings
-from core.estimation.odometry import WheelPath, wheel_path
+from core.estimation.odometry import WheelPath, longest_hold, wheel_path
 from core.estimation.rest import Rest, wheels_still
 from core.run import Run
 
@@ -30,7 +30,8 @@ FARTHEST = 1e6  # m: a fix or range beyond it is no reading
 @dataclass(frozen=True)
 class Events:
     """E events: t [s], kind, data (E, 5), flags (bits), as `layout` says; `out` (M,) stamps of the rows to come; names
-    of the beacons whose lasting errors are states, from `first_offset` on; notes on readings left out."""
+    of the beacons whose lasting errors are states, from `first_offset` on; notes on readings left out; how long an
+    IMU reading lasts [s] and their rate [Hz], where known already."""
 
     t: Array
     kind: npt.NDArray[np.int64]
@@ -41,6 +42,8 @@ class Events:
     lasting: tuple[str, ...] = ()
     silence: float = SILENCE
     notes: tuple[str, ...] = ()
+    hold: float | None = None
+    rate: float | None = None
 
     @property
     def readings(self) -> Readings:
@@ -91,7 +94,8 @@ def merge(run: Run, numbers: Assumptions, rest: Rest | None) -> Events:
     flags = np.concatenate([p[3] for p in parts])[order]
     flags |= np.where(wheels_still(wheels, t[order], STANDING), STILL, 0)
     silence = max(SILENCE, 5.0 * float(np.median(np.diff(path.t))))
-    return Events(t[order], kind[order], data, flags, out_t, first, names, silence, notes)
+    hold, rate = (longest_hold(np.diff(out_t, prepend=out_t[0])), run.imu.rate) if rest and run.imu else (None, None)
+    return Events(t[order], kind[order], data, flags, out_t, first, names, silence, notes, hold, rate)
 
 
 def _out_rows(run: Run, rest: Rest | None, wheel_t: Array) -> tuple[Array, Array, npt.NDArray[np.int64]]:

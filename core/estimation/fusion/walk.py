@@ -184,6 +184,10 @@ def _constants(run: Run, events: Events, numbers: Assumptions, rest: Rest | None
     quantum = encoder_quantum(run, numbers) * float(robot.wheel_radius or 0.0)
     inverse_track = 1.0 / robot.track_width if robot.track_width else 0.0
     imu = run.imu if rest is not None else None
+    hold, rate = 0.0, 0.0
+    if imu is not None:  # both take a while: not anew for each trial
+        hold = events.hold if events.hold is not None else longest_hold(np.diff(imu.t, prepend=imu.t[0]))
+        rate = events.rate if events.rate is not None else imu.rate
     lasting = numbers.lasting_range if events.of(RANGE).any() else numbers.lasting_fix
     constants = Constants(
         has_gyro=imu is not None,
@@ -194,7 +198,7 @@ def _constants(run: Run, events: Events, numbers: Assumptions, rest: Rest | None
         tag_z=robot.tag.z,
         tau=numbers.memory,
         silence=events.silence,
-        hold=longest_hold(np.diff(imu.t, prepend=imu.t[0])) if imu is not None else 0.0,
+        hold=hold,
         q_pause=numbers.pause_rate**2,
         q_speed=numbers.accel**2,
         q_accel=numbers.accel_noise**2,
@@ -223,7 +227,7 @@ def _constants(run: Run, events: Events, numbers: Assumptions, rest: Rest | None
         gate2=chi2_gate(2, numbers),
         gate3=chi2_gate(3, numbers),
         patience=numbers.reaccept,
-        patience_rest=numbers.reaccept * (imu.rate if imu is not None else 0.0) / 2,
+        patience_rest=numbers.reaccept * rate / 2,
         stubborn=numbers.stubborn,
         leap=numbers.leap,
         coast=numbers.coast,
