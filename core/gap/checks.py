@@ -36,6 +36,15 @@ def check_runs(runs: Sequence[Run], held_out: Sequence[Run]) -> None:
                 expected=str(first.robot),
                 found=str(run.meta.robot),
             )
+        for name in ("commands", "wheels"):
+            one, other = (getattr(given, name) is None for given in (runs[0], run))
+            if one != other:
+                raise MissingStreamError(
+                    f"run {1 if one else k} ({runs[0].meta.name if one else run.meta.name}) has no {name}, run "
+                    f"{k if one else 1} has: the chain must begin alike in all; diagnose them apart",
+                    method="diagnose",
+                    missing=[name],
+                )
         if run.meta.effects != first.effects:
             raise ParameterError(
                 f"run {k} ({run.meta.name}) names another simulator than run 1: simulator.effects differ",

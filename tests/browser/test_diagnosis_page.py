@@ -52,6 +52,7 @@ def test_the_report_says_it_shows_it_and_lets_it_go(
     expect(page.locator("#share-now")).to_have_text("40 %")
     page.locator("#run-choice").get_by_role("button", name=mission["name"]).click()
     expect(page.locator("#overlay")).to_be_hidden()
+    expect(page.locator("#copy-command")).to_have_attribute("data-hint", re.compile("--held-out .* --seed 3 "))
     page.locator("#patch summary").click()
     with page.expect_download() as patch:
         page.get_by_role("button", name="JSON", exact=True).click()
