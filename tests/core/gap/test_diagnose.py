@@ -116,7 +116,7 @@ def test_bad_input_is_refused_with_advice() -> None:
     )
     with pytest.raises(ParameterError, match="another robot"):
         diagnose([run, other])
-    with pytest.raises(MissingStreamError, match="run 2 .* has no commands, run 1 has"):
+    with pytest.raises(MissingStreamError, match=r"run 2 .* has no commands, run 1 has"):
         diagnose([run, dataclasses.replace(run, commands=None)])
     with pytest.raises(NotEnoughDataError, match="too few"):
         diagnose([run.crop(0.0, 2.0)])
