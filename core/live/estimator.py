@@ -66,7 +66,7 @@ class LiveEstimator:
         self._early = Early()
         self.encoders = Encoders(meta, self.numbers)
         self.beacon = Beacon(meta, self.numbers)
-        self.fused = Fused(meta, self.numbers)
+        self.fused = Fused(meta, self.numbers, frozenset(config or {}))
         self.gyro: EncodersGyro | None = None
         self.published: Published | None = None
         self.rhythm: Rhythm | None = None

@@ -1,8 +1,9 @@
 """`fused`, stepped: the filter of `core.estimation.fusion` by `Replay`, which takes readings late or out of order.
 
 Offline some numbers are learnt from the whole run: here they are those of `rhythm`, and noise is what run.json states,
-else what is assumed. The start is found by the same three ways as offline, from what has come so far: until then there
-is no pose, and `reason` says what is waited for. On the same numbers and start the path is the same.
+else what is assumed; of fixes and ranges it is then learnt as it goes (`surprise`). The start is found by the same
+three ways as offline, from what has come so far: until then there is no pose, and `reason` says what is waited for. On
+the same numbers and start the path is the same.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from core.estimation.fusion.walk import problem
 from core.estimation.rest import Rest, at_rest
 from core.live.recent import Recent
 from core.live.rhythm import Rhythm
+from core.live.surprise import Surprise
 from core.run import Run, RunMeta
 from core.trajectory import Trajectory
 
@@ -37,8 +39,9 @@ LONGEST_WAIT = 60.0  # s of readings from which a start is sought
 class Fused:
     """The filter, and until it has set out the readings that its start is sought from."""
 
-    def __init__(self, meta: RunMeta, numbers: Assumptions) -> None:
-        self.meta, self.numbers = meta, numbers
+    def __init__(self, meta: RunMeta, numbers: Assumptions, given: frozenset[str] = frozenset()) -> None:
+        self.meta, self.numbers, self._given = meta, numbers, given
+        self._surprise = Surprise(meta, given)
         self.reason: str | None = "waiting for a second of wheels and IMU"
         self.replay: Replay | None = None
         self.start: Start | None = None
@@ -63,7 +66,7 @@ class Fused:
 
     def again(self) -> Fused:
         """A filter that sets out anew from where this one is: for a sensor that it was not made for."""
-        fresh = Fused(self.meta, self.numbers)
+        fresh = Fused(self.meta, self.numbers, self._given)
         fresh._first, fresh._told = self._first, self._told
         if self.replay is not None and not self._relative:
             state = self.replay.state
@@ -138,6 +141,9 @@ class Fused:
         assert self.replay is not None
         if len(events.t):
             self.replay.take(events.t, events.kind, events.data, events.flags)
+            kind, third, nis = self.replay.judged()
+            if len(kind):
+                self._surprise.take(kind, (kind == FIX) & np.isfinite(third), nis, self.replay.constants)
 
     def _new_rows(self) -> Trajectory | None:
         if self.replay is None:

@@ -6,6 +6,7 @@ is dropped and counted, as the filter no longer keeps a state that old.
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,7 @@ class Replay:
         self._begin = -np.inf
         self._rows, self._covariance = np.zeros((0, 5)), np.zeros((0, 3, 3))
         self._old: list[tuple[Array, Array, Array]] = []
+        self._judged: deque[tuple[Any, Array, Array]] = deque(maxlen=64)
         self.dropped = 0
 
     @property
@@ -58,6 +60,18 @@ class Replay:
         parts, self._old = [nothing, *self._old], []
         t, rows, covariance = (np.concatenate([part[i] for part in parts]) for i in range(3))
         return t, rows, covariance
+
+    def judged(self) -> tuple[Any, Array, Array]:
+        """Kind, third number and normalised innovation squared of readings that came in order since the last call."""
+        parts = [(np.zeros(0, np.int64), np.zeros(0), np.zeros(0)), *self._judged]
+        self._judged.clear()
+        kind, third, nis = (np.concatenate([part[i] for part in parts]) for i in range(3))
+        return kind, third, nis
+
+    @property
+    def constants(self) -> Array:
+        """The filter's numbers, an array of `Constants`: what is changed there holds from then on."""
+        return self._problem.constants
 
     def since(self, t: float) -> tuple[Array, Array, Array]:
         """As `path`, of the rows after `t` that can still change."""
@@ -106,6 +120,8 @@ class Replay:
             if before + at - self._kept[-1][0] >= EVERY:
                 self._kept.append((before + at, _earlier(state.copy(), -rows)))
             self._problem.step(new, at, min(at + EVERY, len(new.t)), state, out)
+        judged = out.status[:, 0] > 0
+        self._judged.append((new.kind[judged], new.data[judged, 2], out.nis[judged, 0]))
         self._state = _earlier(state, -rows)
         self._rows = np.concatenate((self._rows, out.rows))
         self._covariance = np.concatenate((self._covariance, out.covariance))

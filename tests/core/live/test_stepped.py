@@ -13,6 +13,7 @@ from core.estimation import odometry
 from core.estimation.events import Disturbances
 from core.estimation.events.disturbances import Disturbance
 from core.estimation.fusion.events import merge
+from core.estimation.fusion.layout import R_FIX
 from core.estimation.fusion.walk import Walk, flagged, problem, walk
 from core.estimation.pipeline import estimate
 from core.estimation.published import signals
@@ -231,10 +232,24 @@ def test_a_robot_of_unknown_track_width_is_estimated_as_offline(monkeypatch: pyt
     sd = estimator.rhythm.gyro_sd
     monkeypatch.setattr(odometry, "at_rest", lambda run, numbers: at_rest(run, numbers, sd))
     assert_same(path(steps, "encoders+gyro"), estimate(run, "encoders+gyro").trajectory)
-    out, whole = offline(run, estimator)
+    _, whole = offline(run, estimator)
     np.testing.assert_allclose(path(steps, "fused").pose, whole.pose, atol=1e-9, rtol=0)
     reasons = estimator.reasons()
     assert {m for m in reasons if "track_width" in str(reasons[m])} == {"encoders", "published"}
+
+
+def test_noise_of_fixes_that_nobody_stated_is_learnt_as_it_goes() -> None:
+    run = recorded()
+    true = run.meta.noise.beacon_xy
+    assert true is not None and run.beacon is not None
+    loud = np.random.default_rng(3).normal(0.0, 4 * true, (2, len(run.beacon)))
+    fixes = dataclasses.replace(run.beacon, x=run.beacon.x + loud[0], y=run.beacon.y + loud[1], theta=None)
+    noise = dataclasses.replace(run.meta.noise, beacon_xy=None)
+    silent = dataclasses.replace(run, meta=dataclasses.replace(run.meta, noise=noise), beacon=fixes, ranges=None)
+    estimator, _ = stepped(silent, pieces(silent, 0.25))
+    assert estimator.fused.replay is not None
+    assumed, found = estimator.numbers.fix_xy, float(np.sqrt(estimator.fused.replay.constants[R_FIX]))
+    assert abs(np.log(found / (true * np.sqrt(17)))) < min(0.4, abs(np.log(assumed / (true * np.sqrt(17)))))
 
 
 def test_what_is_kept_does_not_grow_with_the_run(both: list[tuple[LiveEstimator, list[Step]]]) -> None:
