@@ -73,6 +73,26 @@ def test_noise_effects_are_told_by_their_level(server: TestClient, driven: str) 
     assert gap["streams"]["imu.gz"]["now"] == pytest.approx(1.0)
 
 
+def test_packed_says_the_same_as_json(server: TestClient, driven: str) -> None:
+    move = {"run": driven, "effects": {**TRUE, "beacon_shadow": {"x": 4.5, "y": 3.5, "radius": 0.1}}, "gap": False}
+    plain = moved(server, **move)
+    body = server.post(MOVE, json=move, headers={"Accept": "application/octet-stream"}).content
+    size = int.from_bytes(body[:4], "little")
+    head, rows = json.loads(body[4 : 4 + size]), np.frombuffer(body, "<f8", offset=4 + size)
+    assert plain["gap"] is None and (4 + size) % 8 == 0 and len(head["streams"]) == len(plain["streams"])
+    holes = 0
+    for packed, told in zip((*head["paths"], *head["streams"]), (*plain["paths"], *plain["streams"]), strict=True):
+        for key in packed.keys() & {"t", "x", "y", "theta", "real", "nominal", "patched", "residual_patched"}:
+            first, count, holed = packed[key]["$"]
+            values = np.array(told[key], np.float64)
+            np.testing.assert_allclose(rows[first : first + count], values, atol=6e-8)
+            assert holed == np.isnan(values).any()
+            holes += holed
+    assert holes > 0
+    only = moved(server, **{**move, "gap": True, "lines": False})
+    assert only["gap"]["now"] > 0.0 and only["paths"] == only["streams"] == []
+
+
 def test_a_stretch_and_its_columns_can_be_chosen(server: TestClient, driven: str) -> None:
     found = moved(server, run=driven, start=5.0, end=15.0, t0=7.0, t1=8.0, streams=["imu.gz"], points=30)
     assert (found["source"]["start"], found["source"]["end"]) == pytest.approx((5.0, 15.0), abs=0.1)
