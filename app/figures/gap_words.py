@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -61,12 +62,10 @@ def difference(effect: str, parameters: Parameters) -> str:
     """How robot and simulator differ, a whole sentence; for an effect without words its label."""
     values = {name: entry.get("value") for name, entry in parameters.items()}
     words = WORDS.get(effect)
-    if words is None or any(value is None for value in values.values()):
-        return f"The robot shows {label(effect)} that the simulator lacks."
-    try:
-        return words(values)
-    except KeyError:  # stored by a version whose effect had other parameters
-        return f"The robot shows {label(effect)} that the simulator lacks."
+    if words is not None and None not in values.values():
+        with contextlib.suppress(KeyError):  # stored by a version whose effect had other parameters
+            return words(values)
+    return f"The robot shows {label(effect)} that the simulator lacks."
 
 
 def _scale(value: float) -> str:
