@@ -18,27 +18,35 @@ NAMES = {"encoders+gyro": "encoders with gyro"}
 PATHS = {"encoders": "Encoder path", "encoders+gyro": "Path by encoders with gyro"}
 EVENT_NAMES = {
     "beacon_loss": "beacon loss",
-    "beacon_lying": "stretch of false fixes",
+    "beacon_lying": "stretch of false beacon readings",
     "kidnap": "kidnapping",
     "pushed": "push",
     "stuck": "blocked stretch",
 }
 PLURALS = {
     "beacon loss": "beacon losses",
-    "stretch of false fixes": "stretches of false fixes",
+    "stretch of false beacon readings": "stretches of false beacon readings",
     "push": "pushes",
     "blocked stretch": "blocked stretches",
 }
+# Of an estimate's notes, those that say that something is wrong with the run: its units, signs, names, or sight.
+FAULTS = (
+    "converted", "exchanged", "upside down", "mirrored", " encoder ", "on one line", "unsurveyed", "disagree",
+    "ambiguous", "not observable", "hardly observable", "times the stated one",
+)  # fmt: skip
+MOST_FAULTS = 2
 
 
 @dataclass(frozen=True)
 class Judged:
-    """What one method's estimate contributes: its figures (SI), its events, the deviation it claims at the end [m]."""
+    """What one method's estimate contributes: its figures (SI), its events, the deviation it claims at the end [m], its
+    notes."""
 
     method: str
     metrics: Metrics
     events: Sequence[Mapping[str, Any]] = ()  # with the user's `decision`, where there is one
     final_sd: float | None = None
+    notes: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
@@ -53,11 +61,11 @@ class Case:
 
 
 def verdict(case: Case) -> str:
-    """One to four short sentences."""
+    """One to six short sentences."""
     if not case.estimates:
         return _without_estimates(case)
     lead = lead_of(case.estimates)
-    parts = [_position(case, lead), _bias(case, lead), _events(case)]
+    parts = [_position(case, lead), _bias(case, lead), _events(case), _faults(case)]
     return " ".join(p for p in parts if p)
 
 
@@ -79,6 +87,13 @@ def events_of(estimates: Sequence[Judged]) -> Judged | None:
     order = ("fused", "smoothed", "encoders+gyro", "published")
     having = [e for e in estimates if e.events]
     return min(having, key=lambda e: order.index(e.method) if e.method in order else len(order), default=None)
+
+
+def _faults(case: Case) -> str:
+    """What `fused`, else the first method that says so, found to be wrong with the run."""
+    order = sorted(case.estimates, key=lambda e: e.method != "fused")
+    told = ([note for note in e.notes if any(word in note for word in FAULTS)] for e in order)
+    return " ".join(next((notes for notes in told if notes), [])[:MOST_FAULTS])
 
 
 def _name(method: str) -> str:

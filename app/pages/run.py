@@ -95,7 +95,7 @@ def _case(
     return Case(
         duration_s=row.duration_s,
         estimates=[
-            Judged(e.method, {m.name: m.value for m in e.metrics}, found[e.method], _final_sd(e, data))
+            Judged(e.method, {m.name: m.value for m in e.metrics}, found[e.method], _final_sd(e, data), e.notes)
             for e in estimates
         ],
         reasons=reasons,

@@ -115,3 +115,10 @@ def test_the_noise_advice_names_the_sensor_and_the_factor() -> None:
     assert said(ranges=sensor(1.1, fits=True)) == "Every sensor is about as noisy as the filter expects."
     assert "half of them call for 1.0 times R, the widest tenth for 30 times" in said(ranges=sensor(1.0, single=False))
     assert "estimate again" in sentence(None)
+
+
+def test_what_is_wrong_with_the_run_is_said() -> None:
+    wrong = "The ranges read millimetres in place of metres: converted."
+    notes = [wrong, "Slip learnt from this run: 0.004 m after one metre (assumed at first: 0.0066)."]
+    cases = [judged("encoders", 0.9, 0.9), Judged("fused", {"final_m": 0.02, "ate_rmse_m": 0.02}, notes=notes)]
+    assert verdict(Case(60, cases)).endswith(wrong)

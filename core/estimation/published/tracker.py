@@ -82,7 +82,7 @@ class Tracker:
         t = self.fixes.t[skip:]
         self._longest = self.choice.loss + 2 * self._rhythm()
         kf = PoseFilter(pose, covariance, self.tag)
-        self.begin(float(self.path.t[0]))
+        self.begin(float(self.fixes.t[skip - 1] if skip else self.path.t[0]))
         poses, covariances, judged = self.go_on(kf, t, self.path.at(np.concatenate((self.path.t[:1], t))), skip)
         self._lost_until(float(self.path.t[-1]))
         stamps = np.concatenate((self.path.t[:1], t))
