@@ -56,44 +56,56 @@ def answer(verdict: str = "explained", **changed: Any) -> dict[str, Any]:
     return {**known, **changed}
 
 
+T = [0.5 * k for k in range(240)]
+LOOP = [(2 * math.cos(0.1 * s), 2 * math.sin(0.1 * s), 0.1 * s) for s in T]
+PATH = {"t": T, "x": [p[0] for p in LOOP], "y": [p[1] for p in LOOP], "theta": [p[2] for p in LOOP]}
+BINS = [-1.0 + 0.1 * k for k in range(21)]
+
+
 def evidence(**changed: Any) -> dict[str, Any]:
     """What stands behind it, every part filled."""
-    t = [0.5 * k for k in range(240)]
-    loop = [(2 * math.cos(0.1 * s), 2 * math.sin(0.1 * s), 0.1 * s) for s in t]
-    path = {"t": t, "x": [p[0] for p in loop], "y": [p[1] for p in loop], "theta": [p[2] for p in loop]}
+    return {"schema": "gap-evidence/1", **_where(), **_which(), **_rest(), **changed}
+
+
+def _where() -> dict[str, Any]:
+    """Noise, links, cells and curves of two runs."""
     blocks = [2.0 + 4 * k for k in range(30)]
     cells = [
         {"stream": stream, "regime": regime, "rows": 900, "before": 1.0 + (i * j) % 7, "after": 1.02, "floor": 1.0,
          "p_value": 10.0 ** -(i * j), "significant": (i * j) % 7 > 2}
         for i, stream in enumerate(STREAMS) for j, regime in enumerate(REGIMES)
     ]  # fmt: skip
-    x = [-1.0 + 0.1 * k for k in range(21)]
-    wave = [0.02 * math.sin(3 * v) for v in x]
-    known: dict[str, Any] = {
-        "schema": "gap-evidence/1",
+    links = [
+        ("commands to wheels", ["wheels.left", "wheels.right"], 1.04, 1.03, 0.4),
+        ("wheels to body", ["truth.x", "truth.y", "truth.theta"], 3.4, 1.06, 1e-12),
+        ("body to gyro", ["imu.gz"], 2.1, 1.01, 1e-5),
+    ]
+    return {
         "noise_floor": [
             {"stream": "imu.gz", "sigma": 0.002, "unit": "rad/s", "stated": 0.002, "ratio": 1.02, "ratio_sd": 0.01},
             {"stream": "imu.ax", "sigma": 0.05, "unit": "m/s²", "stated": None, "ratio": None, "ratio_sd": None},
         ],
         "links": [
-            {"link": "commands to wheels", "streams": ["wheels.left", "wheels.right"], "before": 1.04, "after": 1.03,
-             "floor": 1.0, "p_value": 0.4},
-            {"link": "wheels to body", "streams": ["truth.x", "truth.y", "truth.theta"], "before": 3.4, "after": 1.06,
-             "floor": 1.0, "p_value": 1e-12},
-            {"link": "body to gyro", "streams": ["imu.gz"], "before": 2.1, "after": 1.01, "floor": 1.0,
-             "p_value": 1e-5},
+            {"link": name, "streams": streams, "before": before, "after": after, "floor": 1.0, "p_value": p}
+            for name, streams, before, after, p in links
         ],
         "cells": cells,
         "runs": [
-            {"run": 0, "name": "lap 1", "held_out": False, "path": {**path, "gap": [1 + abs(2 * math.sin(s / 9))
-             for s in t]}, "timeline": _timeline(blocks), "free_run": None},
-            {"run": 1, "name": "lap 2", "held_out": True, "path": {**path, "gap": [1 + abs(3 * math.cos(s / 7))
-             for s in t]}, "timeline": _timeline(blocks), "free_run": _free(path)},
+            {"run": 0, "name": "lap 1", "held_out": False, "path": {**PATH, "gap": [1 + abs(2 * math.sin(s / 9))
+             for s in T]}, "timeline": _timeline(blocks), "free_run": None},
+            {"run": 1, "name": "lap 2", "held_out": True, "path": {**PATH, "gap": [1 + abs(3 * math.cos(s / 7))
+             for s in T]}, "timeline": _timeline(blocks), "free_run": _free(PATH)},
         ],
+    }  # fmt: skip
+
+
+def _which() -> dict[str, Any]:
+    """A signature, a set, what was weighed and what cannot be seen."""
+    return {
         "signatures": {
-            "track_width": {"stream": "truth.theta", "regressor": "turn rate", "unit": "rad/s", "x": x,
-                            "residual": [0.02 * v for v in x], "sd": [0.002] * 21, "fitted": [0.021 * v for v in x],
-                            "after": [0.001 * v for v in x]},
+            "track_width": {"stream": "truth.theta", "regressor": "turn rate", "unit": "rad/s", "x": BINS,
+                            "residual": [0.02 * v for v in BINS], "sd": [0.002] * 21,
+                            "fitted": [0.021 * v for v in BINS], "after": [0.001 * v for v in BINS]},
         },
         "sets": [["gyro_scale", "track_width"]],
         "considered": [
@@ -106,10 +118,17 @@ def evidence(**changed: Any) -> dict[str, Any]:
             {"effect": "beacon_delay", "parameter": "delay", "unit": "s", "visible_from": None},
             {"effect": "side_slip", "parameter": "k", "unit": "s", "visible_from": 0.02},
         ],
+    }  # fmt: skip
+
+
+def _rest() -> dict[str, Any]:
+    """What is left, and what to drive next."""
+    wave = [0.02 * math.sin(3 * v) for v in BINS]
+    return {
         "unexplained": {
             "stream": "imu.gz",
-            "shapes": [{"regressor": "turn rate", "unit": "rad/s", "x": x, "y": wave, "lo": [v - 0.003 for v in wave],
-                        "hi": [v + 0.003 for v in wave], "share": 0.7}],
+            "shapes": [{"regressor": "turn rate", "unit": "rad/s", "x": BINS, "y": wave,
+                        "lo": [v - 0.003 for v in wave], "hi": [v + 0.003 for v in wave], "share": 0.7}],
             "period": {"regressor": "heading", "value": math.pi, "unit": "rad"},
             "onset": {"t": 61.0, "sd": 1.5},
             "place": {"x": 1.0, "y": 0.5, "radius": 0.4},
@@ -118,12 +137,11 @@ def evidence(**changed: Any) -> dict[str, Any]:
         "next": {
             "profile": "square_ccw", "minutes": 1.5,
             "commands": {"t": [0.0, 1.0, 2.0], "v": [0.0, 0.3, 0.3], "w": [0.0, 0.0, 0.4]},
-            "path": {"x": path["x"][:60], "y": path["y"][:60]},
+            "path": {"x": PATH["x"][:60], "y": PATH["y"][:60]},
             "rivals": [{"pair": ["gyro_scale", "track_width"], "chance_now": 0.6, "chance_after": 0.99}],
             "reason": "turns both ways part the body's turn from the gyro's reading of it",
         },
     }  # fmt: skip
-    return {**known, **changed}
 
 
 def bare_evidence() -> dict[str, Any]:
