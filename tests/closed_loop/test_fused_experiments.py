@@ -10,7 +10,7 @@ import pytest
 from core.estimation import estimate
 from core.estimation.result import Estimate
 from core.metrics import PoseErrors, evaluate
-from tests.plants.mujoco_worlds import World, world
+from tests.plants.mujoco_worlds import Sensors, World, world
 
 
 def through(name: str, seed: int, method: str = "fused") -> tuple[World, Estimate, PoseErrors]:
@@ -34,6 +34,17 @@ def test_under_the_glass(seed: int) -> None:
     assert "beacon_loss" in {event.kind for event in found.events}
     assert ("beacon_lying" in {event.kind for event in found.events}) == (seed == 1)
     assert "kidnap" not in {event.kind for event in found.events}
+
+
+def test_ranges_that_lie_together_are_not_believed() -> None:
+    """Under the glass all four beacons' ranges are those of a tag some decimetres away."""
+    made = world("glass", 1, Sensors(fixes=False, ranges=True))
+    assert made.run.truth is not None
+    found = estimate(made.run, "fused")
+    errors = evaluate(found.trajectory, made.run.truth)
+    assert errors.ate_rmse_m is not None and errors.ate_rmse_m < 0.05
+    assert errors.max_m is not None and errors.max_m < 0.15
+    assert "beacon_lying" in {event.kind for event in found.events}
 
 
 @pytest.mark.parametrize("seed", range(5))

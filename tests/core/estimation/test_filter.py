@@ -29,6 +29,7 @@ from core.estimation.fusion.layout import (
     RANGE,
     REJECTED,
     RELOCATED,
+    REST,
     SEEN,
     T_FIX,
     T_IMU,
@@ -106,6 +107,19 @@ def test_a_reading_at_the_imus_own_stamp_delays_nothing() -> None:
     log = Events(stamps[order], kind[order], np.concatenate((wheel, imu))[order], np.zeros(152, np.int64), t)
     heading = walked(log).pose[:, 2]
     np.testing.assert_allclose(heading[1::2], alpha / 2 * t[1::2] ** 2, atol=1e-12)
+
+
+def test_turning_before_the_first_tick_is_made_up_for() -> None:
+    """Rest is told by counters that have not ticked: for 0.1 s the robot turns already, held to be at rest."""
+    t = np.arange(201) * 0.01
+    rate = np.where(t > 0.9, 0.1, 0.0)
+    zero, resting = np.zeros(201), np.where(t < 1.0, REST, 0)
+    prior = PRIOR.copy()
+    prior[B, B] = 1e-12
+    log = Events(t, np.full(201, OUT), np.column_stack((rate, zero, zero, zero, zero)), resting, t)
+    heading = walked(log, P0=prior).pose[:, 2]
+    assert heading[99] == 0.0
+    assert heading[-1] == pytest.approx(0.1 * 1.095, abs=0.0015)
 
 
 def walked(log: Events, c: Constants = BASE, P0: np.ndarray = PRIOR, n: int = 15) -> Walk:
