@@ -33,7 +33,7 @@ from app.api import live as live_api
 from app.api import virtual as virtual_api
 from app.db.migrate import migrate
 from app.db.session import make_engine
-from app.live import hub as live_hub
+from app.live import service as live
 from app.pages import PAGES
 from app.sandbox import cache as sandbox_cache
 from app.scene import api as scene_api
@@ -67,7 +67,7 @@ SERVICES: tuple[Callable[[FastAPI], AbstractAsyncContextManager[None]], ...] = (
     examples.service,
     source.service,
     sandbox_cache.service,
-    live_hub.service,
+    live.service,
     virtual_robot.service,
 )
 

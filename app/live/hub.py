@@ -8,19 +8,16 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import functools
 import json
 import logging
 import os
 import secrets
 import shutil
-import sys
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable
+from collections.abc import Callable
 from typing import Any
 
-from fastapi import FastAPI
 from sqlalchemy import Engine
 
 from app.db.session import reading, writing
@@ -46,7 +43,6 @@ SWEEP_S = 1.0
 HEARTBEAT_S = 1.0  # viewers hear so often how the connection is, whatever robot and workers do
 LOOK_S = 0.5  # between two looks whether a run is stored
 MOST_ROBOTS = 200
-SWITCH_S = 1e-3  # the loop waits no longer for a thread that computes; Python's own is 5 ms
 
 
 class NameTakenError(ConflictError):
@@ -409,21 +405,3 @@ class Hub:
         for run in self._runs.values():
             if run.log is not None:
                 run.log.close()
-
-
-@contextlib.asynccontextmanager
-async def service(app: FastAPI) -> AsyncIterator[None]:
-    """Live runs beside the server, as `app.state.live`."""
-    submit = functools.partial(_submit, app)
-    sys.setswitchinterval(SWITCH_S)
-    app.state.live = Hub(app.state.settings, app.state.engine, submit)
-    app.state.live.start()
-    try:
-        yield
-    finally:
-        await app.state.live.stop()
-
-
-def _submit(app: FastAPI, run_id: str) -> str:
-    job: str = app.state.jobs.submit("live", None, {"live": run_id})
-    return job
