@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
+from core.effects import EFFECTS
 from core.gap.explain import Search
 from core.gap.fit import refit
 from core.gap.selection import Found
@@ -25,10 +26,15 @@ def chance_of_unknown(found: Search) -> float:
     return best
 
 
-def inexact(one: Found) -> float:
-    """Probability that a link's model only stands in for something else: by what it leaves beside what it explains."""
-    n, c = float(one.fit.normal.n.sum()), float(one.fit.normal.c.sum())
-    explained = sum(one.earned.values())
+def inexact(one: Found, streams: Collection[str] | None = None) -> float:
+    """Probability that a link's model only stands in for something else: by what it leaves beside what it explains.
+
+    streams: of these alone, and of the effects that touch them; else of all.
+    """
+    normal = one.fit.normal
+    here = np.array([streams is None or name in streams for name in normal.channels])
+    n, c = float(normal.n[here].sum()), float(normal.c[here].sum())
+    explained = sum(v for name, v in one.earned.items() if streams is None or set(EFFECTS[name].streams) & set(streams))
     if c < LOUD * n or explained <= 0.0:
         return 0.0
     share = (c - n) / (c - n + explained)
@@ -51,7 +57,7 @@ def unknown_of(found: Search, material: Sequence[str]) -> tuple[Unexplained | No
     doubt: dict[str, float] = {}
     best: tuple[float, Unexplained] | None = None
     for scope, one in zip(("wheels", "body")[-len(found.links) :], found.links, strict=True):
-        doubt |= {name: inexact(one) for name in one.fit.model if name in material}
+        doubt |= {name: inexact(one, EFFECTS[name].streams) for name in one.fit.model if name in material}
         if one.unknown is not None:
             shape, gain = one.unknown
             told = Unexplained(stream_of(shape), depends_on(shape), words(shape, gain, 1.0), 1.0)

@@ -25,8 +25,8 @@ LARGE = {
     "truth.theta": 5e-3,
 }  # fmt: skip
 """and larger than this [rad, rad/s, m/s², m]: several times what is immaterial there,"""
-WIDELY, STRONG = 0.05, 4.0
-"""and, in the IMU, not only in a few samples: in this share of the blocks it is above the noise by this factor."""
+WIDELY, MOSTLY, STRONG = 0.05, 0.5, 4.0
+"""and, in the IMU and in fixes, not only in a few: in this share of the blocks it is above the noise by this factor."""
 FOLLOWS = 0.1
 """What it depends on is told where that takes this share of it."""
 SURE = 0.9
@@ -70,8 +70,9 @@ def _times(ground: Ground, name: str) -> float:
 def _is_large(ground: Ground, name: str, times: float, floor: Floor) -> bool:
     if times < TIMES or name not in floor.sigma or times * floor.sigma[name] < LARGE[name]:
         return False
-    if name not in IMU:
+    if name.startswith(("wheels", "truth")):
         return True
     left, dof = ground.all(name, "left"), ground.all(name, "dof")
     some = dof > 0.5
-    return bool(np.mean(left[some] > STRONG * dof[some]) > WIDELY)
+    wide = WIDELY if name in IMU else MOSTLY  # single fixes and ranges far off are outliers
+    return bool(np.mean(left[some] > STRONG * dof[some]) > wide)
