@@ -60,7 +60,8 @@ export function mountPaths({ run, clock, state, fileName, lead }) {
     scene = mountScene(stage, run.id, clock, { methods: shown() });
   }
 
-  const shown = () => state.methods.filter((m) => m.has && state.isVisible(m.name)).map((m) => m.name);
+  // Of a run that goes on, 3D has the paths so far, which are not stored yet.
+  const shown = () => run.is_live ? null : state.methods.filter((m) => m.has && state.isVisible(m.name)).map((m) => m.name);
 
   // ---- layout
 
