@@ -36,6 +36,15 @@ REFUSED: dict[str, str] = {
     **dict.fromkeys(("floor_tilt", "gyro_g_sensitivity", "vibration", "beacon_shadow"), NEEDS_TRUE),
     "missed_ticks": "the simulator has rounded the encoders already",
 }
+FINISHED = frozenset(
+    {
+        "gyro_bias", "gyro_drift", "gyro_walk", "gyro_temperature", "gyro_scale", "gyro_noise", "gyro_clip",
+        "accel_bias", "accel_scale", "beacon_shift", "beacon_rotation", "beacon_scale", "beacon_noise",
+        "beacon_outliers", "range_bias",
+    }
+)  # fmt: skip
+"""Effects on finished readings: all that a recording can take."""
+OF_INPUTS = "a recording takes only what happens to finished readings"
 MAX_KNOT = 0.1
 """Spacing of knots where the commands fade with the battery [s]; the error is an eighth of (rate * spacing)^2."""
 EDGE = 1e-6
@@ -44,20 +53,25 @@ EDGE = 1e-6
 
 @dataclass(frozen=True)
 class Foreign:
-    """A simulator that is not ours. `effects`: ids that it models itself, and takes as its second argument."""
+    """A simulator that is not ours. `effects`: ids that it models itself, and takes as its second argument.
+
+    finished: it is a recording, whose inputs cannot be changed any more.
+    """
 
     name: str
     simulate: Simulate
     effects: frozenset[str] = frozenset()
+    finished: bool = False
 
     def refuses(self) -> dict[str, str]:
         """Effects that can be had neither from the simulator nor around it, with the reason."""
-        return {effect: why for effect, why in REFUSED.items() if effect not in self.effects}
+        late = dict.fromkeys(EFFECTS.keys() - FINISHED, OF_INPUTS) if self.finished else {}
+        return {effect: why for effect, why in {**late, **REFUSED}.items() if effect not in self.effects}
 
 
 def recorded(name: str, made: Run) -> Foreign:
     """A recorded simulated run as a simulator: it gives its readings whatever it is asked, no input can be changed."""
-    return Foreign(name, lambda run, effects, seed: _picked(name, made, run))
+    return Foreign(name, lambda run, effects, seed: _picked(name, made, run), finished=True)
 
 
 def around(foreign: Foreign, run: Run, effects: EffectSet, seed: int) -> Run:
@@ -70,10 +84,11 @@ def around(foreign: Foreign, run: Run, effects: EffectSet, seed: int) -> Run:
     check_effects(effects)
     own = {effect: values for effect, values in effects.items() if effect in foreign.effects}
     outer = {effect: values for effect, values in effects.items() if effect not in foreign.effects}
+    refused = foreign.refuses()
     for effect in active(outer):
-        if effect in REFUSED:
+        if effect in refused:
             raise ParameterError(
-                f"{effect} cannot be put around the simulator {foreign.name!r}: {REFUSED[effect]}",
+                f"{effect} cannot be put around the simulator {foreign.name!r}: {refused[effect]}",
                 parameter=effect,
                 simulator=foreign.name,
             )
@@ -301,7 +316,7 @@ def _picked(name: str, made: Run, asked: Run) -> Run:
         same = np.array_equal(asked.commands.t, made.commands.t) and np.array_equal(asked.commands.v, made.commands.v)
         if not (same and np.array_equal(asked.commands.w, made.commands.w)):
             raise ParameterError(
-                f"{name} is a recording: effects before it (drive, geometry) cannot be put around it", simulator=name
+                f"{name} was driven by other commands than the run that it lies beside", simulator=name
             )
     return made
 

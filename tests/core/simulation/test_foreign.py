@@ -13,7 +13,7 @@ from core.errors import FormatError, ParameterError
 from core.robot import EffectSet
 from core.run import Run
 from core.simulation import simulate
-from core.simulation.foreign import REFUSED, Foreign, around, recorded
+from core.simulation.foreign import FINISHED, REFUSED, Foreign, around, recorded
 from core.simulation.scenarios import SCENARIOS
 
 SIZES: dict[str, dict[str, float | str]] = {
@@ -145,8 +145,13 @@ def test_a_recording_gives_its_readings_and_takes_no_inputs(run: Run) -> None:
     found = around(foreign, silent(run), {"gyro_bias": {"bias": 0.01}}, 0)
     assert made.imu is not None and found.imu is not None
     np.testing.assert_allclose(found.imu.gz, made.imu.gz + 0.01, atol=1e-12)
-    with pytest.raises(ParameterError, match="recording"):
-        around(foreign, run, {"drive_gain": {"gain": 0.9}}, 0)
+    assert set(foreign.refuses()) == EFFECTS.keys() - FINISHED
+    for effect in ("drive_gain", "imu_yaw", "beacon_delay"):
+        with pytest.raises(ParameterError, match=f"{effect} .* recording"):
+            around(foreign, run, {effect: SIZES[effect]}, 0)
+    other = dataclasses.replace(run, commands=dataclasses.replace(run.commands, v=run.commands.v * 1.1))
+    with pytest.raises(ParameterError, match="driven by other commands"):
+        around(foreign, other, {}, 0)
 
 
 @pytest.mark.parametrize(
