@@ -1,12 +1,14 @@
 """Where the gap lies, against answers: loudest stream, regime, time and place, and the time that telling takes.
 
-python -m tests.bench.bench_gap_where [--shared DIR] [--cases N] [--first K]: the shared cases, then N drives of the
-plant with one effect each, some of them in no library, and clean ones. F1 is pooled over the cases of a stratum.
+python -m tests.bench.bench_gap_where [--shared DIR] [--cases N] [--first K] [--strata A,B] [--causes A,B]: the shared
+cases, then N drives of the plant with one effect each, some of them in no library, and clean ones. F1 is pooled over
+the cases of a stratum.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import sys
 import time
@@ -162,15 +164,16 @@ def energies(run: Run, bare: Run) -> dict[str, float]:
     return out
 
 
+def cause_of(kind: str, seed: int) -> str:
+    """Which cause a seed draws."""
+    causes = [name for names in REGIME.values() for name in names.split() if name not in OUTSIDE]
+    return sorted(OUTSIDE)[seed % len(OUTSIDE)] if kind == "outside" else causes[seed % 38]
+
+
 def planted(kind: str, seed: int) -> tuple[list[Run], Run, Answer, str]:
     """Fit runs, held-out run and answer of one drive of the plant."""
     rng = np.random.default_rng([seed, 23])
-    causes = [name for names in REGIME.values() for name in names.split()]
-    name = (
-        sorted(OUTSIDE)[seed % len(OUTSIDE)]
-        if kind == "outside"
-        else [c for c in causes if c not in OUTSIDE][seed % 38]
-    )
+    name = cause_of(kind, seed)
     effects = draw(name, float(rng.uniform(8.0, 25.0)), rng) if kind == "listed" else {}
     outside = {name: OUTSIDE[name] * 1.5} if kind == "outside" else {}
     fit = [Plan(seed, "mixed", 100.0, effects, outside), Plan(seed, "turns", 80.0, effects, outside)]
@@ -216,6 +219,7 @@ def main() -> None:
     options.add_argument("--cases", type=int, default=8)
     options.add_argument("--first", type=int, default=0)
     options.add_argument("--strata", default="listed,outside,clean")
+    options.add_argument("--causes", help="only seeds that draw one of these, as bump,slip_patch")
     chosen = options.parse_args()
     tallies: dict[str, Tally] = {}
 
@@ -231,7 +235,9 @@ def main() -> None:
             told = json.loads((chosen.shared / "answers" / f"{case.name}.json").read_text())
             run_case("shared", told["label"], *shared(case, told))
     for stratum in filter(None, chosen.strata.split(",")):
-        for seed in range(chosen.first, chosen.first + chosen.cases):
+        wanted = set(filter(None, (chosen.causes or "").split(",")))
+        drawn = (k for k in itertools.count(chosen.first) if not wanted or cause_of(stratum, k) in wanted)
+        for seed in itertools.islice(drawn, chosen.cases):
             runs, held, answer, label = planted(stratum, seed)
             run_case(stratum, label, runs, held, answer)
     print(f"{'stratum':9s} {'n':>3s} {'loudest':>8s} " + " ".join(f"{n:>6s}" for n in HEADS))
