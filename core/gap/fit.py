@@ -14,7 +14,19 @@ import numpy.typing as npt
 
 from core.effects import EFFECTS
 from core.gap.candidates import STEPS, bounds, free_of
-from core.gap.linear import BLOCK, HUBER, LOCAL, Model, Normal, Problem, White, columns_of, normal_equations, whitened
+from core.gap.linear import (
+    BLOCK,
+    HUBER,
+    LOCAL,
+    Model,
+    Normal,
+    Problem,
+    White,
+    columns_of,
+    far_of,
+    normal_equations,
+    whitened,
+)
 from core.gap.nuisance import DRIFT, Nuisances, bounded
 from core.robot import EffectSet
 
@@ -25,6 +37,8 @@ SPREAD = 16.0
 """How much wider than `STEPS` the first look at an edge is."""
 GAINED = 0.3
 """A step that lowers the cost by less than this ends the fit: a third of what noise does to one parameter."""
+BRINGS = 0.02
+"""A brief fit goes on while a step brings this share of all that it brought."""
 MARGIN = 1e-3
 """Parameters stay this share of a step inside their bounds."""
 
@@ -65,28 +79,33 @@ def cost_of(normal: Normal) -> float:
 
 
 def refit(problem: Problem, model: EffectSet, scope: str, iterations: int = ITERATIONS) -> Fit:
-    """The model's parameters in this scope at their best; those of effects outside the scope stay."""
+    """The model's parameters in this scope at their best; those of effects outside the scope stay.
+
+    iterations: so many, and more while each still brings a good part (far residuals come down step by step).
+    """
     inside = {name: values for name, values in problem.overlay(model, scope).items() if name not in problem.held}
     wide = any(f"{effect}.{name}" in LOCAL for effect, name in parameters_of(inside))
     spreads = [SPREAD / 2.0**k for k in range(5)] if wide else [1.0]
     best = fit_at(problem, inside, scope, spreads[0])
     if not best.parameters:
         return best
-    damping = 1e-4
-    for k in range(iterations + len(spreads) - 1):
+    damping, first, last = 1e-4, best.cost, 0.0
+    for k in range(max(iterations, ITERATIONS) + len(spreads) - 1):
+        if k >= iterations + len(spreads) - 1 and last < BRINGS * (first - best.cost):
+            break
         spread = spreads[min(k + 1, len(spreads) - 1)]
         moved = _step(best, damping)
         if moved is None:
             break
         tried = fit_at(problem, moved, scope, spread)
         if not np.isfinite(tried.cost) or tried.cost > best.cost:
-            damping *= 30.0
+            damping, last = damping * 30.0, 0.0
             if damping > 1e4:
                 break
             if k + 1 < len(spreads):  # look again from where we are, less wide
                 best = dataclasses.replace(fit_at(problem, best.model, scope, spread), cost=best.cost)
             continue
-        gained = best.cost - tried.cost
+        gained = last = best.cost - tried.cost
         best = tried
         damping = max(damping / 10.0, 1e-6)
         if gained < GAINED and k + 1 >= len(spreads):
@@ -102,18 +121,19 @@ def fit_at(problem: Problem, inside: Model, scope: str, spread: float = 1.0, sco
     beside = np.flatnonzero(nuisances.beside(list(inside)))
     at = np.zeros(len(nuisances.keys))
     sd, limit = nuisances.sd[beside], nuisances.limit[beside]
-    pull = _pull(white, nuisances)
     if len(beside):
-        at[beside], _ = bounded(nuisances.a[np.ix_(beside, beside)], pull[beside], sd, limit)
+        pull, inner = _pull(white, nuisances), _inner(white, nuisances)
+        at[beside], _ = bounded(inner[np.ix_(beside, beside)], pull[beside], sd, limit)
         white = without(white, nuisances, at)
         logs += float(np.sum((at[beside] / sd) ** 2))
     normal = normal_equations(white, [one.key for one in columns], logs, by_block=scores)
     _, g, a = normal.total
     share = np.zeros((len(columns), 0))
     aside = _cross(white, nuisances, len(columns))[:, beside] if len(beside) else np.zeros((len(columns), 0))
-    joint = _joint(g, a, aside, nuisances, beside, at[beside], pull[beside])
+    product = _inner(white, nuisances)[np.ix_(beside, beside)]
+    joint = _joint(g, a, aside, nuisances, beside, at[beside], _pull(white, nuisances)[beside], product)
     if len(beside) and len(columns):  # those at their limits too: which of them are is chance as well
-        inner = nuisances.a[np.ix_(beside, beside)] + np.diag(sd**-2.0)
+        inner = product + np.diag(sd**-2.0)
         size = np.sqrt(np.diag(inner))
         share = np.linalg.solve(inner / np.outer(size, size), (aside / size).T).T / size
         a = a - share @ aside.T
@@ -141,13 +161,18 @@ def with_trifles(problem: Problem, fit: Fit) -> Model:
 
 
 def _joint(
-    g: Array, a: Array, aside: Array, nuisances: Nuisances, beside: npt.NDArray[np.int64], at: Array, all_of: Array
+    g: Array,
+    a: Array,
+    aside: Array,
+    nuisances: Nuisances,
+    beside: npt.NDArray[np.int64],
+    at: Array,
+    left: Array,
+    inner: Array,
 ) -> tuple[Array, Array, Array, Array]:
-    """Own parameters' steps and the nuisances' whole sizes as one bounded problem. all_of: the nuisances' products with
-    the residual before their part was taken out."""
-    inner = nuisances.a[np.ix_(beside, beside)] if len(beside) else np.zeros((0, 0))
+    """Own parameters' steps and the nuisances' whole sizes as one bounded problem."""
     whole = np.block([[a, aside], [aside.T, inner]])
-    pull = np.concatenate((g + aside @ at, all_of))
+    pull = np.concatenate((g + aside @ at, left + inner @ at))
     far = np.full(len(g), np.inf)
     return whole, pull, np.concatenate((far, nuisances.sd[beside])), np.concatenate((far, nuisances.limit[beside]))
 
@@ -229,6 +254,22 @@ def _pull(white: Sequence[Mapping[str, White]], nuisances: Nuisances) -> Array:
             if name in one:
                 residual = one[name].residual
                 out[index] += columns @ (residual * _weight(residual))
+    return out
+
+
+FAR = 0.01
+"""Where more than this share of the readings lies far off, or did, products are taken with today's weights."""
+
+
+def _inner(white: Sequence[Mapping[str, White]], nuisances: Nuisances) -> Array:
+    """(M, M) products of the nuisances' columns, weighted as the residual asks for."""
+    if max(nuisances.far, far_of(white)) < FAR:
+        return nuisances.a
+    out = np.zeros_like(nuisances.a)
+    for one, rows in zip(white, nuisances.rows, strict=False):
+        for name, (columns, index) in rows.items():
+            if name in one:
+                out[np.ix_(index, index)] += (columns * _weight(one[name].residual)) @ columns.T
     return out
 
 

@@ -168,6 +168,17 @@ def _tails(far: Array) -> float:
     return 1.0 if ratio < HEAVY[0] else min(ratio, HEAVY[1])
 
 
+def _level(far: Array, coarse: bool) -> float:
+    """Variance by the median; of few levels, among which a median jumps, by the mean square of what lies near."""
+    size = float(np.median(np.abs(far))) / NORMAL_MEDIAN
+    if not coarse:
+        return size**2
+    for _ in range(3):
+        inside = far[np.abs(far) < TRIM * max(size, float(np.abs(far).mean()))]
+        size = float(np.sqrt(np.mean(inside**2) / TRIMMED)) if len(inside) else size
+    return size**2
+
+
 def _vibration(
     worlds: list[World],
     residuals: Sequence[Mapping[str, Array]],
@@ -175,8 +186,10 @@ def _vibration(
     sigma: dict[str, float],
 ) -> tuple[dict[str, float], float, float]:
     """Accelerometer noise that grows with speed: median squares of differences in classes of speed, a line through."""
-    squares, speed = [], []
+    squares, speed, coarse = [], [], []
     for name in ("imu.ax", "imu.ay"):
+        steps = [rounding_of(world.readings[name]) for world in worlds if name in world.readings]
+        coarse.append(max(steps, default=0.0) > COARSE * sigma[name])
         far, v = [], []
         for world, residual, fast in zip(worlds, residuals, speeds, strict=True):
             if name in residual and fast is not None:
@@ -196,7 +209,7 @@ def _vibration(
             inside = (rates >= a) & (rates <= b)
             n = int(inside.sum())
             if n >= FEW:
-                level = max((float(np.median(np.abs(square[inside]))) / NORMAL_MEDIAN) ** 2, NOTHING)
+                level = max(_level(square[inside], coarse[axis]), NOTHING)
                 row = [0.0, 0.0, float(np.mean(rates[inside] ** 2))]
                 row[axis] = 1.0
                 design.append(row)

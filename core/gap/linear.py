@@ -347,7 +347,13 @@ def nuisances_of(white: Sequence[Mapping[str, White]], normal: Normal) -> Nuisan
     keys = tuple(normal.keys[i] for i in chosen)
     a = normal.total[2][np.ix_(chosen, chosen)]
     effects = tuple(key.split(".")[0] for key in keys)
-    return Nuisances(keys, effects, SHARE * limit[chosen], limit[chosen], a, tuple(rows))
+    return Nuisances(keys, effects, SHARE * limit[chosen], limit[chosen], a, tuple(rows), far_of(white))
+
+
+def far_of(white: Sequence[Mapping[str, White]]) -> float:
+    """Share of readings whose residual counts less than fully."""
+    sizes = [np.abs(w.residual) > HUBER for one in white for w in one.values() if len(w.residual)]
+    return float(np.mean(np.concatenate(sizes))) if sizes else 0.0
 
 
 LOCAL = frozenset(("slip_patch.x", "slip_patch.y", "slip_patch.radius", "bump.time", "deadband.width"))

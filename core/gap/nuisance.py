@@ -31,7 +31,8 @@ DRIFT = 45.0
 class Nuisances:
     """Columns of all smooth effects: keys "effect.parameter...", the effect of each, sd and limit (M,).
 
-    a (M, M): their white columns' products; `rows`: per run and channel (columns (m, N), index (m,)).
+    a (M, M): their white columns' products; `rows`: per run and channel (columns (m, N), index (m,)). far: share
+    of readings that counted less than fully in `a`.
     """
 
     keys: tuple[str, ...] = ()
@@ -40,6 +41,7 @@ class Nuisances:
     limit: Array = dataclasses.field(default_factory=lambda: np.zeros(0))
     a: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
     rows: tuple[Mapping[str, tuple[Array, Indices]], ...] = ()
+    far: float = 0.0
 
     def beside(self, model: Sequence[str]) -> npt.NDArray[np.bool_]:
         """(M,) which of them stand beside a model: all but those of its own effects."""

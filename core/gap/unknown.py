@@ -93,6 +93,9 @@ def rest_of(problem: Problem, fit: Fit) -> Rest:
         gain[i] if k >= REFITTED else gain[i] * min(_exact(white, generic, int(i), m) / max(alone[i], 1e-9), 50.0)
         for k, i in enumerate(order)
     ]
+    n, c = float(fit.normal.n.sum()), float(fit.normal.c.sum())
+    if c > 2.0 * n:  # far residuals, little weighed, promise more than there is
+        exact = [min(value, c - LEAST * n) for value in exact]
     ranked = sorted(zip(order.tolist(), exact, strict=True), key=lambda pair: -pair[1])
     excess = {name: float(sum(fit.normal.c[i]) - sum(fit.normal.n[i])) for i, name in enumerate(fit.normal.channels)}
     told = tuple((shapes[i], float(value)) for i, value in ranked if value > 0.0)
@@ -133,6 +136,8 @@ def _taken(score: Array, info: Array, cross: Array, inside: Array, pull: Array) 
     return np.where(fine, score * weight, 0.0), weight, left
 
 
+LEAST = 0.8
+"""No model leaves less than this mean square: encoders' rounding is a little less than their noise."""
 REFITTED, ROUNDS = 3, 6
 """So many of the best shapes are fitted to Huber's loss itself, by so many rounds of reweighted least squares."""
 
