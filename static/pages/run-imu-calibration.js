@@ -22,10 +22,11 @@ export async function mountCalibration(host, context) {
     host.replaceChildren(h("p", { class: "dim" }, "No calibration is stored yet. ", h("a", { href: "/calibrations" }, "Make one from runs, or upload one."), " "), made);
     return { destroy() {} };
   }
-  const option = (c) => h("option", { value: c.id, selected: c.id === state.calibration }, c.robot && c.robot !== run.robot ? `${c.name} (${c.robot})` : c.name);
+  const likely = state.calibration ?? (corrected ? null : own[0]?.id); // the robot's newest: one click applies it
+  const option = (c) => h("option", { value: c.id, selected: c.id === likely }, c.robot && c.robot !== run.robot ? `${c.name} (${c.robot})` : c.name);
   const group = (label, list) => (list.length ? h("optgroup", { label }, list.map(option)) : "");
   const select = h("select", { id: "imu-calibration", "aria-label": "Calibration" }, h("option", { value: "" }, "choose …"), group(`of ${run.robot ?? "this robot"}`, own), group("others", rest));
-  const apply = h("button", { type: "button", class: "button", disabled: true, "data-hint": "Stores this run again with its IMU corrected by Algorithm 1; this one stays." }, "Make the corrected run");
+  const apply = h("button", { type: "button", class: "button", disabled: !likely, "data-hint": "Stores this run again with its IMU corrected by Algorithm 1; this one stays." }, "Make the corrected run");
   const note = h("div", { "aria-live": "polite" });
   const body = h("div", {});
   const command = copyCommand(() => `driftscope correct ${run.id} --calibration calibration.json --out corrected`);
@@ -71,6 +72,7 @@ export async function mountCalibration(host, context) {
   });
   select.addEventListener("change", show);
   if (state.calibration) show();
+  else if (likely) body.replaceChildren(h("p", {}, h("button", { type: "button", class: "button quiet", id: "judge-calibration", onclick: show }, "How good it is on this run")));
   return {
     destroy() {
       gone = true;
