@@ -12,9 +12,10 @@ Robot     WebSocket `/api/v1/live/{robot}`, `robot` a name of 1 to 64 letters, d
           Stamps `t` are seconds since the start of the run on the robot's clock, increasing within a stream; rows that
           are not newer than what is there of their stream are dropped and counted in `Quality.late_rows`.
 HTTP      `POST /api/v1/live/{robot}/rows`, NDJSON: one Hello, Batch or End per line; the answer is that to the last.
-Viewer    WebSocket `/api/v1/live/{robot}/watch`: server: Snapshot, then Update at most 20 times a second, Driver when
-          somebody takes the stick or leaves it, Refused, Gone when the run has ended (a later run of the same robot
-          begins with a new Snapshot on the same connection). viewer: DriveRequest, DriveRelease, Drive, ViewerStop.
+Viewer    WebSocket `/api/v1/live/{robot}/watch`: server: Snapshot, then Update at most 20 times a second and once at
+          least, whatever the robot does; Driver when somebody takes the stick or leaves it, Refused, Gone when the run
+          has ended (a later run of the same robot begins with a new Snapshot on the same connection). viewer:
+          DriveRequest, DriveRelease, Drive, ViewerStop.
           A viewer that reads too slowly misses updates (`seq` jumps); it is never waited for.
 List      `GET /api/v1/live`: LiveRobot of every robot that is connected, or silent for less than the time-out.
 """

@@ -13,15 +13,15 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from core.estimation.pipeline import available, estimate  # noqa: E402
-from core.formats import read_run  # noqa: E402
-from core.live import LiveEstimator  # noqa: E402
-from core.live.estimator import METHODS, _together  # noqa: E402
-from core.live.pieces import pieces  # noqa: E402
-from core.run import Run  # noqa: E402
-from core.simulation import simulate  # noqa: E402
-from core.simulation.scenarios import SCENARIOS  # noqa: E402
-from core.trajectory import Trajectory  # noqa: E402
+from core.estimation.pipeline import available, estimate
+from core.formats import read_run
+from core.live import LiveEstimator
+from core.live.estimator import METHODS, _together
+from core.live.pieces import pieces
+from core.run import Run
+from core.simulation import simulate
+from core.simulation.scenarios import SCENARIOS
+from core.trajectory import Trajectory
 
 EXAMPLES = Path(__file__).parents[2] / "app" / "examples"
 PIECE_S = 0.1
