@@ -40,8 +40,7 @@ from core.formats.run_json import meta_to_json  # noqa: E402
 BATCH_S = 0.05
 WATCH = """
 window.drawn = []; window.frames = [];
-const root = document.documentElement;
-new MutationObserver(() => window.drawn.push([Date.now() / 1000, Number(root.dataset.poseT)]))
+new MutationObserver(() => window.drawn.push([Date.now() / 1000, Number(document.documentElement.dataset.poseT)]))
     .observe(document, { subtree: true, attributeFilter: ["data-pose-t"] });
 const tick = (now) => { window.frames.push(now); requestAnimationFrame(tick); };
 requestAnimationFrame(tick);
