@@ -27,6 +27,8 @@ LARGE = {
 """and larger than this [rad, rad/s, m/s², m]: several times what is immaterial there,"""
 WIDELY, MOSTLY, STRONG = 0.05, 0.5, 4.0
 """and, in the IMU and in fixes, not only in a few: in this share of the blocks it is above the noise by this factor."""
+PART = 0.05
+"""and more than this share of what was there before: no model of a large effect (a patch's edge) is exact."""
 FOLLOWS = 0.1
 """What it depends on is told where that takes this share of it."""
 SURE = 0.9
@@ -69,6 +71,8 @@ def _times(ground: Ground, name: str) -> float:
 
 def _is_large(ground: Ground, name: str, times: float, floor: Floor) -> bool:
     if times < TIMES or name not in floor.sigma or times * floor.sigma[name] < LARGE[name]:
+        return False
+    if ground.all(name, "left").sum() < PART * ground.all(name, "excess").sum():
         return False
     if name.startswith(("wheels", "truth")):
         return True
