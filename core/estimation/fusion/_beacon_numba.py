@@ -56,6 +56,7 @@ from core.estimation.fusion.layout import (
     TAG_Z,
     TH,
     VALUES,
+    VARIANCES,
     N,
     S,
     V,
@@ -184,14 +185,13 @@ def _joint(P: Any, n: int, rows: int, work: Any, index: Any) -> tuple[float, flo
     for row in range(rows):
         covariance_with(P, n, work, index, row, row)
     s00 = _product(0, work, index, 0) + work[NOISE, 0]
+    work[VARIANCES, 0] = s00
     nis, volume = work[INNOVATION, 0] * work[INNOVATION, 0] / s00, s00
     if rows > 1:
         s10 = _product(1, work, index, 0)
         l10 = s10 / s00
-        d1, z1 = (
-            _product(1, work, index, 1) + work[NOISE, 1] - l10 * s10,
-            work[INNOVATION, 1] - l10 * work[INNOVATION, 0],
-        )
+        work[VARIANCES, 1] = _product(1, work, index, 1) + work[NOISE, 1]
+        d1, z1 = work[VARIANCES, 1] - l10 * s10, work[INNOVATION, 1] - l10 * work[INNOVATION, 0]
         nis, volume = nis + z1 * z1 / d1, volume * d1
         if rows > 2:
             s20 = _product(2, work, index, 0)
@@ -203,12 +203,13 @@ def _joint(P: Any, n: int, rows: int, work: Any, index: Any) -> tuple[float, flo
     return nis, math.log(volume)
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def _take(x: Any, P: Any, n: int, rows: int, ease: float, work: Any, index: Any, rec: Any, k: int) -> None:
     """Update by an event's readings in turn, from the P h of each that `_joint` has left. All are of one prediction:
     what an earlier one moves is taken out of the later ones, linearly. `ease` >= 1 widens a reading near its gate."""
     for row in range(rows):
-        variance = _product(row, work, index, row) + work[NOISE, row] * ease
+        variance = work[NOISE, row] * (ease - 1.0)
+        variance += work[VARIANCES, 0] if row == 0 else _product(row, work, index, row) + work[NOISE, row]
         nu = work[INNOVATION, row]
         if k >= 0:
             u = rec.marks[k + 1, 0]
@@ -325,7 +326,7 @@ def _relocate(newest: int, many: int, x: Any, P: Any, n: int, past: Any, c: Any)
     return True
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def fix(
     t: float, a: Any, flags: int, x: Any, P: Any, n: int, mem: Any, past: Any, c: Any, work: Any, index: Any,
     parts: Any, out: Any, e: int, rec: Any, k: int,
@@ -336,7 +337,7 @@ def fix(
     nis, log = _joint(P, n, rows, work, index)
     out.nis[e, 0], out.nis[e, 1], out.status[e, 0] = nis, log, ACCEPTED
     for row in range(2):
-        out.score[e, row] = work[INNOVATION, row] / math.sqrt(_product(row, work, index, row) + work[NOISE, row])
+        out.score[e, row] = work[INNOVATION, row] / math.sqrt(work[VARIANCES, row])
     gate = c[GATE2] if rows == 2 else c[GATE3]
     ease = max(nis / (SOFT * gate), 1.0)
     if not nis <= gate:
@@ -387,7 +388,7 @@ def _refused_range(t: float, nu: float, sd: float, o: int, x: Any, P: Any, mem: 
     return True
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def range_to(
     t: float, a: Any, x: Any, P: Any, n: int, mem: Any, c: Any, work: Any, index: Any, parts: Any, out: Any, e: int,
     rec: Any, k: int,
@@ -402,7 +403,7 @@ def range_to(
     ease, o = max(nis / (SOFT * c[GATE1]), 1.0), int(a[4])
     if not nis <= c[GATE1]:
         out.status[e, 0], ease = REJECTED, 1.0
-        sd = math.sqrt(_product(0, work, index, 0) + work[NOISE, 0])
+        sd = math.sqrt(work[VARIANCES, 0])
         if not _refused_range(t, work[INNOVATION, 0], sd, o, x, P, mem, c):
             return
         _joint(P, n, rows, work, index)

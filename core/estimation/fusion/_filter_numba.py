@@ -6,7 +6,6 @@ keeps what the smoother needs to walk back.
 
 from __future__ import annotations
 
-import math
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -130,7 +129,8 @@ def _move_off(x: Any, P: Any, n: int, mem: Any, c: Any) -> None:
 @njit(error_model="numpy", forceinline=True)
 def _feel(t: float, dt: float, dv: float, mem: Any) -> None:
     """How much speed the body has lost of late and the wheels have not: both changes of speed, washed out over WASH."""
-    keep = math.exp(-dt / WASH)
+    u = min(0.5 * dt / WASH, 1.0)
+    keep = (1.0 - u) / (1.0 + u)  # exp(-dt / WASH), nearly, at a tenth of the price
     mem[WASH_IMU] = (mem[WASH_IMU] + dv) * keep
     mem[WASH_WHEELS] *= keep
     lost = mem[WASH_IMU] - mem[WASH_WHEELS]
@@ -200,7 +200,7 @@ def _entry_point(digest: int) -> Callable[..., int]:
         begin: int, end: int, row: int, events: Any, x: Any, square: Any, n: int, mem: Any, past: Any, c: Any, out: Any,
         rec: Any, record: bool,
     ) -> int:  # fmt: skip
-        work, index, parts = np.zeros((8, N)), np.zeros((3, ROOM + 1), np.int64), np.zeros(PARTS + 1)
+        work, index, parts = np.zeros((9, N)), np.zeros((3, ROOM + 1), np.int64), np.zeros(PARTS + 1)
         P, row0 = (
             square.reshape(N * N),
             row,

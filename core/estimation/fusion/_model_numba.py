@@ -306,12 +306,21 @@ def anchor(P: Any, n: int, k: int, r: float) -> None:
 def covariance_with(P: Any, n: int, work: Any, index: Any, row: int, to: int) -> float:
     """work[to] = P h for the sparse row h of a reading: values work[ROW + row] at states index[row]; returns h' P h."""
     k, a = index[row, 0], work[ROW + row, 0]
-    for i in range(n):
-        work[to, i] = a * P[k * N + i]
+    few = n <= BLOCK
+    if few:
+        for i in range(BLOCK):
+            work[to, i] = a * P[k * N + i]
+    else:
+        for i in range(n):
+            work[to, i] = a * P[k * N + i]
     for m in range(1, index[row, ROOM]):
         k, a = index[row, m], work[ROW + row, m]
-        for i in range(n):
-            work[to, i] += a * P[k * N + i]
+        if few:
+            for i in range(BLOCK):
+                work[to, i] += a * P[k * N + i]
+        else:
+            for i in range(n):
+                work[to, i] += a * P[k * N + i]
     total = 0.0
     for m in range(index[row, ROOM]):
         total += work[ROW + row, m] * work[to, index[row, m]]
@@ -330,7 +339,7 @@ def correct(x: Any, P: Any, n: int, work: Any, row: int, nu: float, variance: fl
         P[i * N + i] = max(P[i * N + i], 0.0)
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def correct_state(x: Any, P: Any, n: int, k: int, nu: float, r: float, work: Any, rec: Any, event: int) -> None:
     """Update by a reading of state k itself; its covariances are computed without a difference that would cancel.
     Recorded, unless event < 0."""
@@ -348,7 +357,7 @@ def correct_state(x: Any, P: Any, n: int, k: int, nu: float, r: float, work: Any
         P[k * N + i] = P[i * N + k]
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def keep(rec: Any, event: int, work: Any, row: int, n: int, nu: float, variance: float) -> None:
     """Record a correction whose row is written already."""
     u = rec.marks[event + 1, 0]

@@ -155,7 +155,7 @@ def _begin(t: float, a: Any, turning: bool, x: Any, P: Any, n: int, c: Any) -> N
     anchor(P, n, PHI, c[R_TURN])
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def wheels(
     t: float,
     a: Any,

@@ -132,7 +132,7 @@ class Records(NamedTuple):
     rows: Any
 
 
-INNOVATION, NOISE, ROW = 3, 4, 5  # rows of the scratch array (8, N); the first three are P h of each reading
+INNOVATION, NOISE, ROW, VARIANCES = 3, 4, 5, 8  # rows of the scratch array (9, N); the first three are P h
 ROOM = 8  # most states that one reading is about
 VALUES, NU, VARIANCE = N, N + ROOM, N + ROOM + 1  # columns of corrections
 
