@@ -1,7 +1,8 @@
 """Speed of the simulator: steps a second for the full chain, all effects compiled in. A step is one IMU sample.
 
 Times of one core are that thread's own, so that others on the machine disturb them less; those of all cores are the
-clock's, and beside it what their own time gives: what the clock shows where nobody else is at work. MuJoCo drives the same run with the same robot (the MJCF export), one core each, physics alone.
+clock's, and beside it what their own time gives: what the clock shows where nobody else is at work. MuJoCo drives the
+same run with the same robot (the MJCF export), one core each, physics alone.
 """
 
 from __future__ import annotations
