@@ -79,12 +79,8 @@ def search(
 
     aside: effects that are no candidates here, but may act within their tolerance.
     """
-    names = {one.effect for one in tried} | (set() if scope == "wheels" else set(SEARCHED))
     worth = WHEELS_WORTH if scope == "wheels" else WORTH
-    fit = refit(problem, {name: dict(one) for name, one in (start or {}).items() if name in names}, scope)
-    if fit.model:
-        problem, fit, _ = screened(problem, fit, [*_fresh(tried, fit, None), *aside], scope)
-        fit, _ = _drop(problem, fit, scope, worth, least=1)
+    problem, fit = _begun(problem, tried, scope, start or {}, aside)
     steps: list[Step] = []
     gains: dict[str, float] = {}
     tolerated: dict[str, float] = {}
@@ -103,14 +99,9 @@ def search(
         gains = _best_of(fresh, gain)
         worth = max(worth, BESIDE * unknown[1]) if unknown is not None else worth
         chosen = _worthy(problem, fit, screen, (fresh, gain), worth, tolerated)
-        fits = [
-            (one.effect, refit(problem, {**fit.model, one.effect: dict(one.start)}, scope, BRIEF)) for one in chosen
-        ]
-        if not chosen:
-            both = _masked(problem, fit, fresh, paired, worth, scope)
-            if both is None:
-                break
-            fits = [both]
+        fits = _compared(problem, fit, chosen, scope) or _masked(problem, fit, fresh, paired, worth, scope)
+        if not fits:
+            break
         name, best = min(fits, key=lambda item: _priced(item[1]))
         if fit.cost - best.cost < worth:
             break
@@ -136,6 +127,23 @@ def search(
         fit = refit(problem, best.model, scope)
     problem, fit = _ended(problem, fit, [*tried, *aside], scope)
     return Found(fit, problem, tuple(steps), gains, _earned(problem, fit, scope, steps), unknown, tolerated, sight)
+
+
+def _begun(
+    problem: Problem, tried: Sequence[Candidate], scope: str, start: EffectSet, aside: Sequence[Candidate]
+) -> tuple[Problem, Fit]:
+    """The problem with a model to begin with, of which only what is worth it is left."""
+    names = {one.effect for one in tried} | (set() if scope == "wheels" else set(SEARCHED))
+    fit = refit(problem, {name: dict(one) for name, one in start.items() if name in names}, scope)
+    if fit.model:
+        problem, fit, _ = screened(problem, fit, [*_fresh(tried, fit, None), *aside], scope)
+        fit, _ = _drop(problem, fit, scope, WHEELS_WORTH if scope == "wheels" else WORTH, least=1)
+    return problem, fit
+
+
+def _compared(problem: Problem, fit: Fit, chosen: Sequence[Candidate], scope: str) -> list[tuple[str, Fit]]:
+    """Each of the chosen, fitted beside the model."""
+    return [(one.effect, refit(problem, {**fit.model, one.effect: dict(one.start)}, scope, BRIEF)) for one in chosen]
 
 
 def _fresh(tried: Sequence[Candidate], fit: Fit, unknown: tuple[Shape, float] | None) -> list[Candidate]:
@@ -260,13 +268,13 @@ def _masked(
     paired: tuple[float, tuple[str, str] | None],
     worth: float,
     scope: str,
-) -> tuple[str, Fit] | None:
-    """Two effects that hide each other: worth it only together."""
+) -> list[tuple[str, Fit]]:
+    """Two effects that hide each other: worth it only together; none where there are no such."""
     gain, names = paired
     if names is None or gain < sum(_least(name, worth, _excess(fit), _crumbs(problem, fit)) for name in names):
-        return None
+        return []
     starts = {one.effect: dict(one.start) for one in reversed(fresh) if one.effect in names}
-    return "+".join(names), refit(problem, {**fit.model, **starts}, scope, BRIEF)
+    return [("+".join(names), refit(problem, {**fit.model, **starts}, scope, BRIEF))]
 
 
 def _earned(problem: Problem, fit: Fit, scope: str, steps: Sequence[Step]) -> dict[str, float]:
