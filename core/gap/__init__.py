@@ -1,10 +1,11 @@
 """The gap between a robot and its simulator: where it lies, which effect causes it, how far it shrinks.
 
-`diagnose(runs, simulator, held_out, config) -> Diagnosis`. Inside, in order of the walk: `world` (each channel
-predicted from the recorded stream before it), `floor` (noise from the data), `whiten`, `linear` (normal equations by
-channel and block), `candidates`, `places`, `fit`, `selection`, `scatter` (noise effects), `generic` and `unknown`,
-`explain` (both links), `leftover`, `rejected`, `judge`, `where`, `shrink`, `experiment`, `conclude`, and `diagnose`,
-the story. `evidence` is what a report shows; `as_json` and `evidence_json` write both.
+`diagnose(runs, simulator, held_out, config) -> Diagnosis`. Inside, in order of the walk: `checks`, `aligned` (clocks),
+`world` (each channel predicted from the recorded stream before it), `rolling` (a drive's past), `floor` (noise from the
+data), `whiten`, `linear` (normal equations by channel and block), `candidates`, `places`, `fit`, `selection`, `scatter`
+(noise effects), `generic` and `unknown`, `explain` (both links), `leftover`, `remainder`, `rejected`, `judge`, `where`,
+`shrink`, `experiment`, `conclude`, and `diagnose`, the story. `evidence` is what a report shows; `as_json` and
+`evidence_json` write both.
 """
 
 from __future__ import annotations
