@@ -32,7 +32,7 @@ sys.path[:0] = [str(Path(__file__).parents[1] / "browser"), str(Path(__file__).p
 
 import install  # noqa: E402
 from bench_live import _frame, recording  # noqa: E402
-from conftest import FLAGS, ROOT  # noqa: E402
+from conftest import FLAGS, FLAT, ROOT, WEBGL  # noqa: E402
 
 from app.live.protocol import PROTOCOL  # noqa: E402
 from core.formats.run_json import meta_to_json  # noqa: E402
@@ -129,12 +129,13 @@ def main() -> int:
         robot = Robot(url)
         robot.start()
         try:
-            browser = playwright.chromium.launch(executable_path=install.find(), args=FLAGS)
-            page = browser.new_page(base_url=url, viewport={"width": 1280, "height": 900})
-            page.add_init_script(WATCH)
             for view in options.views.split(","):
+                flags = [*FLAGS, *(FLAT if view == "map" else WEBGL)]
+                browser = playwright.chromium.launch(executable_path=install.find(), args=flags)
+                page = browser.new_page(base_url=url, viewport={"width": 1280, "height": 900})
+                page.add_init_script(WATCH)
                 told(page, robot, view, options.seconds)
-            browser.close()
+                browser.close()
         finally:
             robot.stopping.set()
             robot.join(5)

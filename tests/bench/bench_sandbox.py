@@ -25,7 +25,7 @@ from playwright.sync_api import Page, sync_playwright
 sys.path[:0] = [str(Path(__file__).parents[1] / "browser"), str(Path(__file__).parents[2])]
 
 import install  # noqa: E402
-from conftest import FLAGS, ROOT, free_port  # noqa: E402
+from conftest import FLAGS, FLAT, ROOT, WEBGL, free_port  # noqa: E402
 
 from core.formats import write_run  # noqa: E402
 from core.simulation import simulate  # noqa: E402
@@ -142,7 +142,8 @@ def main() -> None:
                 for what in WITH:
                     if "flat" in sys.argv[1:] and what == "with 3D":
                         continue
-                    browser = playwright.chromium.launch(executable_path=install.find(), args=FLAGS)
+                    flags = [*FLAGS, *(WEBGL if what == "with 3D" else FLAT)]
+                    browser = playwright.chromium.launch(executable_path=install.find(), args=flags)
                     context = browser.new_context(
                         base_url=str(client.base_url), viewport={"width": 1280, "height": 800}
                     )
