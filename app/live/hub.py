@@ -59,7 +59,7 @@ class Hub:
         self._robots: dict[str, Robot] = {}
         self._runs: dict[str, LiveRun] = {}
         self._writer = logs.Writer()
-        self._workers = Workers(max(1, min(2, (os.cpu_count() or 2) - 1)), self._estimated, self._worker_died)
+        self._workers = Workers(max(1, min(2, os.cpu_count() or 2)), self._estimated, self._worker_died)
         self._tasks: set[asyncio.Task[None]] = set()
         self._loop = asyncio.get_running_loop()
         self._written: deque[Callable[[], None]] = deque()  # told by the log's thread, not yet on the loop

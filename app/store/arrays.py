@@ -30,6 +30,7 @@ from core.sensors import STREAMS
 KEY = re.compile(r"[0-9a-f]{64}")
 GRACE_S = 24 * 3600.0  # an array is written before the row that names it; the collector waits this long
 KINDS = "biuf"
+HEAD = re.compile(r"\{'descr': '(?P<descr>[<|]\w\d+)', 'fortran_order': False, 'shape': \((?P<shape>[\d, ]*)\), \}\s*")
 
 
 def path_of(data: Path, key: str) -> Path:
@@ -44,12 +45,28 @@ def open(data: Path, key: str) -> npt.NDArray[Any]:  # noqa: A001
     if key.startswith("live-"):
         return growing.open_column(data, key)
     path = path_of(data, key)
-    try:
-        mapped: npt.NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
-    except ValueError:  # an empty file can't be mapped
-        mapped = np.load(path, allow_pickle=False)
-        mapped.flags.writeable = False
+    dtype, shape, offset = _head(path)
+    if 0 in shape:  # nothing can't be mapped
+        empty = np.zeros(shape, dtype)
+        empty.flags.writeable = False
+        return empty
+    mapped = np.memmap(path, dtype, mode="r", offset=offset, shape=shape)
     return mapped.view(np.ndarray)  # compiled kernels take plain arrays; the view keeps the map alive
+
+
+def _head(path: Path) -> tuple[np.dtype[Any], tuple[int, ...], int]:
+    """Element type, shape and start of the elements; ValueError if the file is none of ours.
+
+    `np.load` has Python parse the head, which in Python 3.11 fails now and then when two threads do so at once
+    (https://github.com/python/cpython/issues/106905).
+    """
+    with path.open("rb") as file:
+        major, _ = np.lib.format.read_magic(file)
+        text = file.read(int.from_bytes(file.read(2 if major == 1 else 4), "little")).decode("latin1")
+        found = HEAD.fullmatch(text)
+        if found is None:
+            raise ValueError(f"{path.name}: not the head of a stored array: {text[:80]!r}")
+        return np.dtype(found["descr"]), tuple(int(n) for n in found["shape"].split(",") if n.strip()), file.tell()
 
 
 def put(data: Path, array: npt.NDArray[Any]) -> str:

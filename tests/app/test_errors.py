@@ -17,6 +17,7 @@ from core import errors as core_errors
 SHAPE = {"type", "title", "status", "detail", "code", "where", "instance"}
 FAMILY = [
     (core_errors.FormatError("bad", row=3), 422, "format"),
+    (core_errors.StampOrderError("back", row=3), 422, "stamp_order"),
     (core_errors.TooLargeError("big"), 413, "too_large"),
     (core_errors.UnknownFormatError("what"), 422, "unknown_format"),
     (core_errors.NeedsMappingError("map", columns=["a"]), 422, "needs_mapping"),

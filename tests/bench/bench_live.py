@@ -52,7 +52,7 @@ async def robot(url: str, name: str, run: Run, parts: list[Any], batch_s: float,
         await socket.send(json.dumps(hello))
         await socket.recv()
         acks = asyncio.create_task(_acks(socket, seen))
-        n, began = 0, time.monotonic() + np.random.default_rng(len(name)).uniform(0, batch_s)
+        n, began = 0, time.monotonic() + np.random.default_rng(list(name.encode())).uniform(0, batch_s)
         turns = np.zeros(2)
         span = len(parts) * batch_s
         while time.monotonic() < end:

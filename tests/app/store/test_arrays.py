@@ -84,7 +84,7 @@ def test_pickles_are_never_loaded(tmp_path: Path) -> None:
     path = arrays.path_of(tmp_path, "0" * 64)
     path.parent.mkdir(parents=True)
     np.save(path, np.array([{}], object), allow_pickle=True)
-    with pytest.raises(ValueError, match="allow_pickle"):
+    with pytest.raises(ValueError, match="not the head of a stored array"):
         arrays.open(tmp_path, "0" * 64)
 
 
