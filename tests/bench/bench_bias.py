@@ -57,15 +57,16 @@ def main() -> None:
     options.add_argument("--first", type=int, default=100)
     options.add_argument("--rate", type=float, default=48.0)
     options.add_argument("--methods", default="best,smoothed,known")
-    options.add_argument("--only", help="scenarios, by a part of their names, or several with ; between")
+    options.add_argument("--only", help="scenarios by name, else by a part of it; several with ; between")
     chosen = options.parse_args()
     print("max [deg], net [deg/h]: median / worst of seeds; hourly [deg/h]: worst; 20 deg are passed at [min]; z, root")
     print("mean squares over claimed sd: the final heading error, its growth by the hour, and the bias error")
     print(
         "scenario               method                      max             net  hourly   20 deg       z z hour z bias"
     )
-    for name, scenario in (SCENARIOS | VARIATIONS).items():
-        if chosen.only and not any(part in name for part in chosen.only.split(";")):
+    plants = SCENARIOS | VARIATIONS
+    for name, scenario in plants.items():
+        if chosen.only and not any(p == name if p in plants else p in name for p in chosen.only.split(";")):
             continue
         rows: dict[str, list[dict[str, float]]] = {}
         for seed in range(chosen.first, chosen.first + chosen.seeds):
