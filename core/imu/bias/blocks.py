@@ -63,7 +63,7 @@ def cut(run: Run, imu: ImuLog, length: float) -> Blocks:
             f"{t[-1] - t[0]:.3g} s are too short to tell rest from movement: at least {needed:.3g} s", expected=needed
         )
     last = cells * count + 1
-    ends, start = out[cells:last:cells], edges[:last:cells]
+    ends, start = out[cells:last:cells], edges[:last:cells].copy()  # in one piece, as live rows have it: one kernel
     given = np.zeros((count, WIDTH))
     # Blocks in which nothing was heard take no time; the one that ends the pause takes all of it.
     heard = np.diff(start) >= 2

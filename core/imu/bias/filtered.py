@@ -134,8 +134,7 @@ def _since(still: Flags) -> Ints:
 def _live(imu: ImuLog, blocks: Blocks, config: FilterConfig) -> _Pass:
     c = settings(config, blocks.length, bool(blocks.given[:, kernel.KELVIN].any()))
     state = kernel.new_state(c)
-    start = np.ascontiguousarray(blocks.start)  # as live rows have it: one variant of the kernel for both
-    live, marks, mean = run_blocks(state, c, imu.gz, start, blocks.given)
+    live, marks, mean = run_blocks(state, c, imu.gz, blocks.start, blocks.given)
     return _Pass(live, marks, mean, state)
 
 
