@@ -192,8 +192,8 @@ export function createChart(host, spec) {
   function options() {
     const font = `11px ${getComputedStyle(frame.root).fontFamily}`;
     const showTime = spec.showTime !== false;
-    const across = [spec.xLabel, spec.xUnit].filter(Boolean).join(", ");
-    const look = { clock: spec.clock, log, showTime, font, valueWidth: VALUE_AXIS, label: spec.clock ? "" : across };
+    const across = spec.clock ? ["time", timeUnit(clock.full[1])] : [spec.xLabel, spec.xUnit].filter(Boolean);
+    const look = { clock: spec.clock, log, showTime, font, valueWidth: VALUE_AXIS, label: across.join(", ") };
     return {
       width: frame.plot.clientWidth,
       height: frame.plot.clientHeight,

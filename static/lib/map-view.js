@@ -30,11 +30,12 @@ export function createView() {
       return view.toX(x0) >= margin && view.toX(x1) <= view.width - margin && view.toY(y1) >= margin && view.toY(y0) <= view.height - margin;
     },
 
-    fit({ x0, x1, y0, y1 }, margin = 36) {
-      const room = (span, size) => (size - 2 * margin) / Math.max(span, 1e-3);
-      view.scale = Math.max(Math.min(room(x1 - x0, view.width), room(y1 - y0, view.height), 2000), 1e-3);
+    // Wider above than below: the buttons lie there.
+    fit({ x0, x1, y0, y1 }, margin = 36, top = margin + 18) {
+      const room = (span, size, margins) => (size - margins) / Math.max(span, 1e-3);
+      view.scale = Math.max(Math.min(room(x1 - x0, view.width, 2 * margin), room(y1 - y0, view.height, margin + top), 2000), 1e-3);
       view.x = (x0 + x1) / 2;
-      view.y = (y0 + y1) / 2;
+      view.y = (y0 + y1) / 2 + (top - margin) / 2 / view.scale;
     },
   };
   return view;

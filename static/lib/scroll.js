@@ -37,7 +37,7 @@ export function createScroll(host, { id, title, unit, term, series, scale = 1, s
       cursor: { show: false },
       legend: { show: false },
       scales: { x: { time: false, range: () => [now - seconds, now] }, y: { range: valueRange } },
-      axes: axes({ clock: null, log: {}, ink: () => colour("--ink-2"), grid: () => colour("--line"), font, showTime: true, valueWidth: VALUE_AXIS }),
+      axes: axes({ clock: null, log: {}, ink: () => colour("--ink-2"), grid: () => colour("--line"), font, showTime: true, valueWidth: VALUE_AXIS, label: "time, s" }),
       series: [{}, ...series.map(line)],
       hooks: { drawAxes: [drawBands] },
     };

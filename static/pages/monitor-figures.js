@@ -71,7 +71,7 @@ const LINK_TERMS = { "commands to wheels": "live_link_wheels", "wheels to gyro":
 
 export function mountLinks(host) {
   const rows = new Map();
-  const waiting = h("p", { class: "dim" }, "Told once a few seconds have been estimated.");
+  const waiting = h("p", { class: "dim" }, "Told once the robot has driven for a few seconds.");
   host.replaceChildren(waiting);
 
   function rowOf(link) {

@@ -34,7 +34,7 @@ export function mountBias(host, context) {
 function facts(estimates) {
   const rows = estimates.map((e) => {
     const drift = e.metrics.bias_drift_rad_s?.value ?? null;
-    return h("tr", {}, h("th", { scope: "row" }, methodSwatch(e.method), methodStyle(e.method).label), h("td", { class: "num" }, show(biasText(drift), "bias_drift_rad_s")), h("td", { class: "dim" }, e.columns.includes("bias_sd") ? "with its deviation: bands are one and two sigma" : "without a stated deviation"));
+    return h("tr", {}, h("th", { scope: "row" }, methodSwatch(e.method), methodStyle(e.method).label), h("td", { class: "num" }, show(biasText(drift), "bias_drift_rad_s")), h("td", { class: "dim" }, e.columns.includes("bias_sd") ? "one and two sigma: the bands in the plot" : "none stated by this method"));
   });
   return h("section", { class: "block" }, h("div", { class: "block-head" }, h("h2", {}, "How far it moved")), h("div", { class: "metrics-scroll" }, h("table", { class: "table metrics" }, h("thead", {}, h("tr", {}, h("th", {}, "Method"), h("th", { class: "num", "data-term": "bias_drift_rad_s" }, "Drift, end minus start"), h("th", {}, "Uncertainty"))), h("tbody", {}, rows))));
 }
@@ -42,7 +42,7 @@ function facts(estimates) {
 function parameters(estimates) {
   const rows = estimates.flatMap((e) =>
     Object.entries(e.parameters).map(([name, p]) =>
-      h("tr", {}, h("th", { scope: "row" }, methodSwatch(e.method), methodStyle(e.method).label), h("td", {}, name.replaceAll("_", " ")), h("td", { class: "num" }, number(p.value, 4)), h("td", { class: "num" }, p.sd === null ? "–" : number(p.sd, 2)), h("td", { class: "dim" }, p.unit || "1")),
+      h("tr", {}, h("th", { scope: "row" }, methodSwatch(e.method), methodStyle(e.method).label), h("td", {}, name.replaceAll("_", " ")), h("td", { class: "num" }, number(p.value, 4)), h("td", { class: "num" }, p.sd === null ? "–" : number(p.sd, 2)), h("td", { class: "dim" }, (p.unit || "1").replace("^2", "²"))),
     ),
   );
   if (!rows.length) return "";

@@ -85,7 +85,7 @@ function estimateCard(run, e) {
       fact("By", h("code", {}, e.code_version)),
       fact("From run", h("span", { class: "hash" }, e.run_sha256)),
       fact("Configuration", config.length ? h("code", {}, JSON.stringify(e.config)) : "defaults", `, seed ${e.seed}`),
-      Object.keys(e.parameters).length > 0 && fact("Parameters", h("code", {}, Object.entries(e.parameters).map(([k, p]) => `${k} = ${Number(p.value?.toPrecision(5))}${p.unit ? ` ${p.unit}` : ""}`).join(", "))),
+      Object.keys(e.parameters).length > 0 && fact("Parameters", h("code", {}, Object.entries(e.parameters).map(([k, p]) => `${k} = ${Number(p.value?.toPrecision(5))}${p.unit && p.unit !== "1" ? ` ${p.unit.replace("^2", "²")}` : ""}`).join(", "))),
       fact("Estimate id", h("code", {}, e.id)),
     ),
     commandLine(`driftscope estimate ${run.id} --method ${e.method} --out ${e.method.replace("+", "-")}.csv --json -`),
