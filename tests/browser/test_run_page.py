@@ -108,6 +108,8 @@ def test_zoom_asks_the_server_for_finer_readings(page: Page, mission: dict[str, 
     whole = range_of(page, chart)
     shown, total = counts(page, chart)
     assert shown < total
+    sampling = page.locator(f"{chart} .chart-sampling")
+    coarse = sampling.inner_text()
     with page.expect_response(lambda r: "/streams/imu" in r.url and "t0=" in r.url) as answer:
         zoom_by_drag(page, chart, 0.4, 0.5)
     asked = parse_qs(urlsplit(answer.value.url).query)
@@ -116,6 +118,7 @@ def test_zoom_asks_the_server_for_finer_readings(page: Page, mission: dict[str, 
     page.wait_for_function(
         "([c, n]) => !document.querySelector(c).dataset.range.startsWith(n)", arg=[chart, f"{whole[0]:g},"]
     )
+    expect(sampling).not_to_have_text(coarse)
     finer_shown, finer_total = counts(page, chart)
     assert finer_total < total / 8
     assert finer_shown / finer_total > 2 * shown / total
