@@ -79,6 +79,8 @@ def times(value: float | None) -> str:
     """A gap in units of the noise: 3.2, 1.05, 41."""
     if value is None:
         return "an unknown number of"
+    if abs(value) < 1e-6:  # rounding of equal readings, as of wheels held against a simulator that shares them
+        return "0"
     return significant(value, 3 if 1 <= abs(value) < 2 else 2) if abs(value) < 100 else f"{value:,.0f}"
 
 

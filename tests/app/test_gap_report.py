@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from app.api.diagnosis_schemas import SUMMARY
 from app.figures import gap_report
 from app.figures.gap import heat, level, rms
-from app.figures.gap_sentence import VERDICTS, headline, sentence
+from app.figures.gap_sentence import VERDICTS, headline, sentence, times
 from app.figures.gap_which import chances, sizes
 from app.figures.gap_words import WORDS, as_set, difference, quantity
 from app.figures.plot import Curve, plot, ticks
@@ -95,6 +95,7 @@ def test_what_cannot_be_told_apart_is_said_with_the_drive_that_would() -> None:
 def test_a_gap_that_nothing_explains_is_not_called_agreement() -> None:
     text = sentence(answer("none", gap={**answer()["gap"], "before": 15.0, "after": 15.0, "floor": 2.0}))
     assert "agree" not in text and "15 times the noise against a floor of 2.0" in text
+    assert [times(1.4e-13), times(0.0), times(7.4e-4)] == ["0", "0", "0.00074"]
 
 
 def test_every_effect_has_its_words_and_a_value_to_type_in() -> None:
