@@ -8,11 +8,12 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from app.cli_calibrate import add_commands as add_calibrate_commands
+from app.cli_common import BAD_INPUT, FAILED, INTERRUPTED, OK, RUN_HELP, progress_on_terminal, run_of, write_json
 from app.cli_firmware import add_commands as add_firmware_commands
 from app.cli_gap import add_commands as add_gap_commands
 from app.cli_imu import add_commands as add_imu_commands
@@ -20,14 +21,9 @@ from app.cli_live import add_commands as add_live_commands
 from app.cli_simulate import add_commands as add_simulate_commands
 
 if TYPE_CHECKING:
-    from app.store.offline import Store
     from core.errors import DriftscopeError
     from core.estimation.result import Estimate
     from core.run import Run
-
-T = TypeVar("T")
-OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-RUN_HELP = "a run folder, a .zip of one, any other file that can be imported, or the id of a stored run"
 
 
 class Parser(argparse.ArgumentParser):
@@ -119,7 +115,7 @@ def _import(options: argparse.Namespace) -> int:
     with Store(Settings.from_env(data=options.data)) as store:
         for name in options.runs:
             try:
-                run = store.add(_existing(name), _progress(name))
+                run = store.add(_existing(name), progress_on_terminal(name))
             except DriftscopeError as error:
                 named = error.message if Path(name).name in error.message else f"{name}: {error.message}"
                 status = _complain(named, _status(error))
@@ -133,7 +129,7 @@ def _import(options: argparse.Namespace) -> int:
 
 
 def _estimate(options: argparse.Namespace) -> int:
-    progress = _progress(options.method)
+    progress = progress_on_terminal(options.method)
     progress(0.0, "reading")
     run = run_of(options.source, options.data)
     from core.estimation.pipeline import estimate
@@ -196,40 +192,6 @@ def published(run: Run, made: Estimate, runtime: float) -> dict[str, Any]:
     }
 
 
-def run_of(source: str, data: Path | None) -> Run:
-    """The run that RUN names: what lies there, else what is stored under that id."""
-    if Path(source).exists():
-        from core.formats import read_run
-
-        return read_run(Path(source))
-    return _stored(source, data, lambda store: store.load(source))
-
-
-def simulated_beside(source: str, data: Path | None) -> Run | None:
-    """The simulated run in `sim/` beside the run that RUN names, None without."""
-    if Path(source).exists():
-        from core.formats import read_simulated
-
-        return read_simulated(Path(source))
-    return _stored(source, data, lambda store: store.load_simulated(source))
-
-
-def _stored(source: str, data: Path | None, load: Callable[[Store], T]) -> T:
-    from app.errors import NotFoundError
-    from app.settings import Settings
-    from app.store.offline import Store
-    from core.errors import FormatError
-
-    settings = Settings.from_env(data=data)
-    try:
-        with Store(settings, create=False) as store:
-            return load(store)
-    except (NotFoundError, FileNotFoundError):
-        raise FormatError(
-            f"{source}: no such file or folder, and no stored run of that id in {settings.data}", file=source
-        ) from None
-
-
 def _existing(name: str) -> Path:
     from core.errors import FormatError
 
@@ -237,30 +199,6 @@ def _existing(name: str) -> Path:
     if not path.exists():
         raise FormatError("no such file or folder", file=name)
     return path
-
-
-def write_json(target: str, value: object) -> None:
-    import json
-
-    text = json.dumps(value, indent=2, allow_nan=False) + "\n"
-    if target == "-":
-        sys.stdout.write(text)
-        sys.stdout.flush()
-    else:
-        Path(target).write_text(text, encoding="utf-8")
-
-
-def _progress(what: str) -> Any:
-    """Progress on standard error, on a terminal only."""
-    if not sys.stderr.isatty():
-        return lambda fraction, message: None
-
-    def show(fraction: float, message: str) -> None:
-        end = "\n" if fraction >= 1 else ""
-        sys.stderr.write(f"\r\x1b[K{what}: {message} {fraction:.0%}{end}")
-        sys.stderr.flush()
-
-    return show
 
 
 def _status(error: DriftscopeError) -> int:

@@ -8,6 +8,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from app.cli_common import OK, progress_on_terminal, write_json
+from app.cli_imu import imu_run_of
+
 if TYPE_CHECKING:
     from core.calibration.imu import CalibrationReport, ImuCalibration, SensorModel
 
@@ -31,12 +34,10 @@ def add_commands(commands: Any, run_help: str) -> None:
 
 
 def _calibrate(options: argparse.Namespace) -> int:
-    from app.cli import OK, _progress, write_json
-    from app.cli_imu import imu_run_of
     from core.calibration.imu import calibrate
 
     runs = [imu_run_of(source, options.data) for source in options.sources]
-    report = calibrate(runs, _progress("calibrate"))
+    report = calibrate(runs, progress_on_terminal("calibrate"))
     _tell([str(item) for item in report.left_out], "left out: ")
     _tell(report.notes, "note: ")
     if options.json != "-":
@@ -69,8 +70,6 @@ def _known(value: float, sd: float = math.nan, digits: int = 4) -> str:
 
 
 def _correct(options: argparse.Namespace) -> int:
-    from app.cli import OK, write_json
-    from app.cli_imu import imu_run_of
     from core.calibration.imu import correct, correction_notes
     from core.errors import ParameterError
     from core.formats import write_run

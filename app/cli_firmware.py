@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from app.cli_common import OK
+
 if TYPE_CHECKING:
     from core.calibration.imu import ImuCalibration
     from core.firmware import Noise
@@ -25,7 +27,6 @@ def add_commands(commands: Any) -> None:
 
 
 def _firmware(options: argparse.Namespace) -> int:
-    from app.cli import OK
     from core.firmware import firmware
 
     calibration = _calibration(options.calibration)

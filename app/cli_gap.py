@@ -8,6 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from app.cli_common import OK, progress_on_terminal, run_of, simulated_beside, write_json
+
 
 def add_commands(commands: Any, run_help: str) -> None:
     """The command and its options."""
@@ -35,7 +37,6 @@ def add_commands(commands: Any, run_help: str) -> None:
 
 
 def _diagnose(options: argparse.Namespace) -> int:
-    from app.cli import OK, _progress, run_of, simulated_beside, write_json
     from app.settings import Settings
     from app.simulators import chosen
     from core.gap import Config, as_json, diagnose, evidence_json
@@ -43,7 +44,7 @@ def _diagnose(options: argparse.Namespace) -> int:
 
     config = Config(tolerances=_sizes(options.tolerance), seed=options.seed)
     check_tolerances(config.tolerances, "--tolerance")
-    progress = _progress("diagnose")
+    progress = progress_on_terminal("diagnose")
     runs = [run_of(source, options.data) for source in options.sources]
     held_out = [run_of(source, options.data) for source in options.held_out]
     path = Settings.from_env().simulators

@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from app.cli_common import OK, run_of, write_json
+
 if TYPE_CHECKING:
     from core.imu.allan import AllanCurve
     from core.imu.bias import BiasEstimate
@@ -39,7 +41,6 @@ def imu_run_of(source: str, data: Path | None) -> Run:
     """The run that RUN names. IMU stamps that go back in time, which no stored run has, are told and left out."""
     from dataclasses import replace
 
-    from app.cli import run_of
     from core.formats import Limits, read_run
     from core.imu.stamps import in_order
 
@@ -56,7 +57,6 @@ def imu_run_of(source: str, data: Path | None) -> Run:
 def _bias(options: argparse.Namespace) -> int:
     import time
 
-    from app.cli import OK, write_json
     from core.imu.bias import track_bias
 
     run = imu_run_of(options.source, options.data)
@@ -97,7 +97,6 @@ def bias_json(run: Run, made: BiasEstimate, runtime: float) -> dict[str, Any]:
 
 
 def _allan(options: argparse.Namespace) -> int:
-    from app.cli import OK, write_json
     from core.errors import MissingStreamError, NotEnoughDataError, ParameterError
     from core.imu.allan import allan
     from core.imu.noise import fit_noise

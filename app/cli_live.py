@@ -14,6 +14,8 @@ from collections.abc import Coroutine
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from app.cli_common import run_of
+
 if TYPE_CHECKING:
     from app.live.client import Client
     from core.run import Run
@@ -76,7 +78,6 @@ def robot_name(text: str) -> str:
 
 
 def _stream(options: argparse.Namespace) -> int:
-    from app.cli import run_of
     from core.formats.run_json import meta_to_json
 
     run = run_of(options.source, options.data)

@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from app.cli_common import OK, run_of, simulated_beside, write_json
+
 if TYPE_CHECKING:
     from core.robot import EffectSet
     from core.run import Run
@@ -42,7 +44,6 @@ def _simulate(options: argparse.Namespace) -> int:
     import dataclasses
     from functools import partial
 
-    from app.cli import OK, write_json
     from app.settings import Settings
     from app.simulators import chosen
     from core.errors import ParameterError
@@ -86,7 +87,6 @@ def _simulate(options: argparse.Namespace) -> int:
 
 def _beside(options: argparse.Namespace) -> Run | None:
     """The simulated run beside the real one, of the same stretch."""
-    from app.cli import simulated_beside
 
     made = simulated_beside(options.source, options.data)
     if made is None or (options.start is None and options.end is None):
@@ -130,7 +130,6 @@ def read_effects(path: Path) -> EffectSet:
 
 
 def _driven(source: str, data: Path | None) -> Run:
-    from app.cli import run_of
 
     if not _is_scenario(source):
         return run_of(source, data)

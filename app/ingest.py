@@ -19,7 +19,7 @@ from app.errors import DiskFullError, NotFoundError
 from app.store import arrays, beside
 from core.errors import NeedsMappingError
 from core.formats import UNITS, Limits, RunSource, StreamSource, meta_to_json, open_run, sniff, suggest_mapping
-from core.formats.base import Batch
+from core.formats.source import Batch
 from core.imu.stamps import onward, told
 from core.robot import RobotParams
 from core.sensors import STREAMS

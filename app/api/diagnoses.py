@@ -8,15 +8,14 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query, Response
 from pydantic_core import to_json
-from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from app.api import diagnosis_schemas as wire
 from app.api import sandbox_schemas, schemas
 from app.api.deps import JobsDep, ReadSession, SettingsDep, WriteSession
-from app.db.tables import Diagnosis, Run
+from app.api.diagnosis_rows import detail, summaries
+from app.db.tables import Diagnosis
 from app.errors import NotFoundError
-from app.figures import gap_sentence as words
 from app.jobs.kinds import diagnosis_params
 from app.settings import Settings
 from app.simulators import OURS, RECORDED, registered
@@ -220,42 +219,3 @@ def _commands(row: Diagnosis) -> str:
     columns = drive["commands"]
     rows = zip(columns["t"], columns["v"], columns["w"], strict=True)
     return "t,v,w\n" + "".join(f"{t},{v},{w}\n" for t, v, w in rows)
-
-
-def summaries(session: Session, rows: Any) -> list[wire.DiagnosisSummary]:
-    """Rows of the list on the wire."""
-    stored = _stored(session, rows)
-    return [wire.DiagnosisSummary(**_summary(row, stored)) for row in rows]
-
-
-def detail(session: Session, row: Diagnosis) -> wire.DiagnosisDetail:
-    """A diagnosis whole on the wire."""
-    copied = ("result", "model", "notes", "config", "seed", "code_version", "runtime_s", "job_id")
-    return wire.DiagnosisDetail(
-        **_summary(row, _stored(session, [row])),
-        effects=dict(effects_of(row.result)),
-        **{name: getattr(row, name) for name in copied},
-    )
-
-
-def _stored(session: Session, rows: Any) -> set[str]:
-    ids = {part.run_id for row in rows for part in row.runs}
-    return set(session.scalars(select(Run.id).where(Run.id.in_(ids), Run.deleted_at.is_(None)))) if ids else set()
-
-
-def _summary(row: Diagnosis, stored: set[str]) -> dict[str, Any]:
-    runs = [
-        wire.DiagnosedRun(
-            id=part.run_id, name=part.name, sha256=part.sha256, duration_s=part.duration_s, held_out=part.held_out,
-            stored=part.run_id in stored,
-        )
-        for part in row.runs
-    ]  # fmt: skip
-    copied = ("id", "name", "robot", "created_at", "deleted_at", "verdict", "simulator")
-    return {
-        **{name: getattr(row, name) for name in copied},
-        "sentence": words.sentence(row.result),
-        "headline": words.headline(row.result),
-        "gap": row.result["gap"],
-        "runs": runs,
-    }

@@ -174,7 +174,7 @@ class Hub:
         """A run that still goes on, for one who watches inside the server; None for any other."""
         run = self._runs.get(run_id)
         robot = self._robots.get(run.robot) if run is not None else None
-        return LiveFeed(self, robot, run) if robot is not None and run is not None else None
+        return LiveFeed(robot, run, self.on_loop, self.forget_idle) if robot is not None and run is not None else None
 
     def known(self, name: str) -> Robot:
         """The robot of that name that has a live run; NotFoundError."""

@@ -10,7 +10,6 @@ import msgpack
 from app.live.feed import Viewer
 
 if TYPE_CHECKING:
-    from app.live.hub import Hub
     from app.live.robot import Robot
     from app.live.run import LiveRun
     from core.run import RunMeta
@@ -36,10 +35,12 @@ class Tap(Viewer):
 
 
 class LiveFeed:
-    """A live run as `app.scene.live.Feed` wants it."""
+    """A live run as `app.scene.live.Feed` wants it. `on_loop`: calls on the hub's loop; `left`: a viewer went."""
 
-    def __init__(self, hub: Hub, robot: Robot, run: LiveRun) -> None:
-        self._hub, self._robot = hub, robot
+    def __init__(
+        self, robot: Robot, run: LiveRun, on_loop: Callable[[Callable[[], None]], None], left: Callable[[Robot], None]
+    ) -> None:
+        self._robot, self._on_loop, self._left = robot, on_loop, left
         self.run_id, self.name, self.meta = run.id, run.said.meta.name or robot.name, run.said.meta
 
     run_id: str
@@ -56,7 +57,7 @@ class LiveFeed:
 
         def leave() -> None:
             self._robot.viewers.pop(tap, None)
-            self._hub.forget_idle(self._robot)
+            self._left(self._robot)
 
-        self._hub.on_loop(join)
-        return lambda: self._hub.on_loop(leave)
+        self._on_loop(join)
+        return lambda: self._on_loop(leave)

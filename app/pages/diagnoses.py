@@ -9,7 +9,7 @@ from fastapi import APIRouter, Query, Request, Response
 from sqlalchemy import or_, select
 from sqlalchemy.orm import Session
 
-from app.api.diagnoses import summaries
+from app.api.diagnosis_rows import summaries
 from app.db.session import reading
 from app.db.tables import Run
 from app.figures.gap_sentence import VERDICTS

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 from fastapi import APIRouter, Request, Response
 
-from app.api.diagnoses import detail
+from app.api.diagnosis_rows import detail
 from app.db.session import reading
 from app.exports.effects import TARGETS
 from app.figures.gap_report import parts, runs

@@ -91,7 +91,7 @@ async def get_scene_file(
 
 
 def _export(pool: Scenes, run: str, theme: str) -> str:
-    from app.scene.build import export_html
+    from app.scene.export import export_html
 
     return export_html(pool.data(run), theme)
 

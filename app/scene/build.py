@@ -247,22 +247,3 @@ def add_now(scene: viser.SceneApi, name: str, path: ScenePath, theme: str) -> vi
         name, vertices, faces, color=stroke(path.method).colour(theme), opacity=0.35, side="double",
         cast_shadow=False, receive_shadow=False,
     )  # fmt: skip
-
-
-def export_html(data: SceneData, theme: str) -> str:
-    """The scene as one self-contained page, robots at the end of their paths; blocking, a second or so."""
-    from app.scene.servers import LocalServer
-
-    server = LocalServer()
-    try:
-        sizes = add_run(server, data, theme)
-        for path in data.paths:
-            frame = add_robot(server.scene, f"/world/robots/{slug(path.method)}", path, data, sizes, theme, leads=True)
-            x, y, theta = path.pose_at(data.t1)
-            if np.isfinite((x, y)).all():
-                frame.position = (x, y, 0.0)
-            if np.isfinite(theta):
-                frame.wxyz = shapes.yaw(theta)
-        return server.get_scene_serializer().as_html(dark_mode=theme == "dark")
-    finally:
-        server.stop()

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("driftscope")
 
-KEY_HEADER, VIEWER_HEADER = "x-scene-key", "x-scene-viewer"
-
 
 class BusyError(DriftscopeError):
     """As many scenes are open as may be, and all of them are looked at."""

@@ -26,7 +26,8 @@ from starlette.websockets import WebSocketDisconnect, WebSocketState
 from websockets.asyncio.client import ClientConnection, connect
 
 from app.errors import NotFoundError
-from app.scene.pool import KEY_HEADER, VIEWER_HEADER, BusyError, Scenes
+from app.scene.headers import KEY_HEADER, VIEWER_HEADER
+from app.scene.pool import BusyError, Scenes
 
 if TYPE_CHECKING:
     from app.scene.servers import Scene

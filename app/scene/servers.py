@@ -17,7 +17,7 @@ import viser
 
 from app.scene import build
 from app.scene.data import SceneData
-from app.scene.pool import KEY_HEADER, VIEWER_HEADER
+from app.scene.headers import KEY_HEADER, VIEWER_HEADER
 from app.scene.viewer import Listener, Overlay, Viewer
 
 T = TypeVar("T")

@@ -11,11 +11,13 @@ from pathlib import Path, PurePath
 
 from core.errors import FormatError, ParameterError, UnknownFormatError
 from core.formats import csv_table, parquet_table, run_folder, run_zip, tum
-from core.formats.base import Batch, Format, Limits, Opening, RunSource, StreamSource, Table
+from core.formats.base import Format, Opening, RunSource
 from core.formats.kitti import write_kitti
+from core.formats.limits import Limits
 from core.formats.mapping import UNITS, ColumnMap, ColumnSource, suggest_mapping
 from core.formats.run_json import meta_from_json, meta_to_json
 from core.formats.single import fitting_stream
+from core.formats.source import Batch, StreamSource, Table
 from core.formats.streams import read_all
 from core.run import Run
 from core.trajectory import Trajectory

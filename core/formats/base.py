@@ -7,15 +7,13 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Protocol, Self
+from typing import TYPE_CHECKING, Self
 
-import numpy as np
-import numpy.typing as npt
 import polars as pl
 
-from core.formats.checks import BatchCheck
+from core.formats.limits import Limits
+from core.formats.source import StreamSource, Table
 from core.run import RunMeta
-from core.sensors import StreamSpec
 
 if TYPE_CHECKING:
     from core.formats.mapping import ColumnMap
@@ -25,102 +23,6 @@ ENGINE_ERRORS = (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSErro
 """What polars raises on hostile files; a PanicException is not an Exception."""
 
 MAX_EPOCHLESS_S = 1e8  # no run lasts three years: larger stamps count from some epoch
-KIB, MIB, GIB = 1 << 10, 1 << 20, 1 << 30
-Batch = dict[str, npt.NDArray[np.generic]]
-
-
-@dataclass(frozen=True)
-class Limits:
-    """How much a file may ask of this machine; beyond, it is refused with `TooLargeError`."""
-
-    max_unpacked_bytes: int = 16 * GIB  # of all members of an archive, counted while they are unpacked
-    max_ratio: float = 200.0  # unpacked over packed, beyond `ratio_free_bytes`
-    ratio_free_bytes: int = 64 * MIB
-    max_members: int = 1000
-    max_rows: int = 4_000_000_000  # of one stream
-    max_columns: int = 1000
-    max_header_bytes: int = 64 * KIB
-    max_line_bytes: int = MIB
-    max_footer_bytes: int = 16 * MIB  # of a parquet file
-    max_decode_bytes: int = 2 * GIB  # memory to decode a parquet file's batches in
-    max_json_bytes: int = 4 * MIB
-    max_json_depth: int = 32
-    max_names: int = 4096  # different beacon names in one stream
-    unordered: frozenset[str] = frozenset()  # streams whose stamps may go back: who reads them mends that
-
-
-class Table(Protocol):
-    """One opened table file: its column names are known, its rows are not read yet."""
-
-    file: str
-    names: tuple[str, ...]
-    typed: bool  # the file states its columns' types
-
-    def dtypes(self) -> Mapping[str, pl.DataType]:
-        """Column types where the file states them, else those of its first rows."""
-        ...
-
-    def scan(self, numbers: tuple[str, ...], texts: tuple[str, ...], *, count_rows: str | None = None) -> pl.LazyFrame:
-        """The columns asked for, numbers as the file's own float or integer type; lazily, in the file's order."""
-        ...
-
-    def explain(self, error: BaseException | None, stream: str | None) -> None:
-        """Raise a FormatError with the exact place that made the engine fail; return if nothing is wrong."""
-        ...
-
-    def check_shape(self, stream: str | None) -> None:
-        """Raise a FormatError at the first row with too few or too many fields."""
-        ...
-
-    def cell(self, row: int, column: str) -> str | None:
-        """The text of one cell as the file has it (row 1 is the first data row), for messages."""
-        ...
-
-    def head(self, rows: int) -> list[tuple[str | None, ...]]:
-        """The first rows as text, in the order of `names`."""
-        ...
-
-
-@dataclass
-class StreamSource:
-    """One stream of an opened run: read it batch by batch.
-
-    `columns`: the dtype of each column that every batch has, `t` first (float64). `names`: the categories of a text
-    column (beacon names) in order of appearance, complete once `batches` is exhausted. `sources`: the table's column
-    that each column comes from; `row_column` counts the table's rows where not every row belongs to the stream.
-    """
-
-    spec: StreamSpec
-    table: Table
-    columns: Mapping[str, np.dtype[np.generic]]
-    frames: Callable[[], Iterator[pl.DataFrame]]
-    limits: Limits
-    sources: Mapping[str, str]
-    row_column: str | None = None
-    names_seen: list[str] = field(default_factory=list)
-
-    @property
-    def name(self) -> str:
-        """The stream's name in the run format."""
-        return self.spec.name
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Categories seen so far."""
-        return tuple(self.names_seen)
-
-    def batches(self) -> Iterator[Batch]:
-        """Column batches in order, checked: finite and strictly increasing t, no infinity, right types.
-
-        Raises FormatError, with file, stream, row and column, at the first thing that is wrong; and at the end if
-        there was no row at all.
-        """
-        self.names_seen.clear()
-        check = BatchCheck(self)
-        for frame in self.frames():
-            if frame.height:
-                yield check.convert(frame)
-        check.finish()
 
 
 @dataclass

@@ -16,8 +16,9 @@ from typing import Any, NoReturn
 import polars as pl
 
 from core.errors import TooLargeError
-from core.formats.base import ENGINE_ERRORS, Format, Limits, Opening, RunSource
+from core.formats.base import ENGINE_ERRORS, Format, Opening, RunSource
 from core.formats.checks import refuse, shown
+from core.formats.limits import Limits
 from core.formats.single import open_single
 
 CHUNK = 1 << 22

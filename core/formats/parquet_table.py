@@ -9,8 +9,9 @@ from typing import NoReturn
 import polars as pl
 
 from core.errors import TooLargeError
-from core.formats.base import ENGINE_ERRORS, Format, Limits, Opening, RunSource
+from core.formats.base import ENGINE_ERRORS, Format, Opening, RunSource
 from core.formats.checks import refuse, shown
+from core.formats.limits import Limits
 from core.formats.parquet_trial import refusal
 from core.formats.single import open_single
 

@@ -8,11 +8,13 @@ from pathlib import Path, PurePosixPath
 import polars as pl
 
 from core.errors import FormatError
-from core.formats.base import Format, Limits, Opening, RunSource, Table
+from core.formats.base import Format, Opening, RunSource
 from core.formats.checks import refuse, shown
 from core.formats.csv_table import CsvTable
+from core.formats.limits import Limits
 from core.formats.parquet_table import ParquetTable
 from core.formats.run_json import read_run_json, write_run_json
+from core.formats.source import Table
 from core.formats.streams import native_stream
 from core.run import Run
 from core.sensors import STREAMS, Log, RangeLog

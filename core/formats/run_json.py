@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from core.errors import FormatError, TooLargeError
-from core.formats.base import Limits
 from core.formats.checks import MAX_NAME_CHARS, shown
+from core.formats.limits import Limits
 from core.robot import PROCEDURES, ImuMount, Noise, Pose, Procedure, RobotParams, Segment, TagMount
 from core.run import RunMeta
 

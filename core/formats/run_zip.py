@@ -16,8 +16,9 @@ from contextlib import ExitStack
 from pathlib import Path, PurePosixPath
 
 from core.errors import FormatError, TooLargeError
-from core.formats.base import KIB, Format, Limits, Opening, RunSource
+from core.formats.base import Format, Opening, RunSource
 from core.formats.checks import refuse, shown
+from core.formats.limits import KIB, Limits
 from core.formats.run_folder import DESCRIPTION, SIMULATED, TABLES, open_files, write_folder
 from core.run import Run
 

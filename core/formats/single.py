@@ -9,9 +9,11 @@ from pathlib import Path
 import polars as pl
 
 from core.errors import NeedsMappingError
-from core.formats.base import ENGINE_ERRORS, Limits, Opening, RunSource, StreamSource, Table
+from core.formats.base import ENGINE_ERRORS, Opening, RunSource
 from core.formats.checks import refuse, shown
+from core.formats.limits import Limits
 from core.formats.mapping import UNITS, ColumnMap, ColumnSource, spec_unit, suggest_mapping
+from core.formats.source import StreamSource, Table
 from core.formats.streams import batches_of, column_dtypes, native_stream
 from core.run import RunMeta
 from core.sensors import STREAMS, StreamSpec

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from core.formats.base import ENGINE_ERRORS, Limits, RunSource, StreamSource, Table
+from core.formats.base import ENGINE_ERRORS, RunSource
 from core.formats.checks import refuse, shown
+from core.formats.limits import Limits
+from core.formats.source import StreamSource, Table
 from core.run import Run
 from core.sensors import STREAMS, RangeLog, StreamSpec
 

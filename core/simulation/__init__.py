@@ -6,6 +6,7 @@ effect sets at once the expected readings as arrays. `links` has each link of th
 
 from __future__ import annotations
 
-from core.simulation.simulate import simulate, simulate_many, warm
+from core.simulation.ready import warm
+from core.simulation.simulate import simulate, simulate_many
 
 __all__ = ["simulate", "simulate_many", "warm"]

@@ -141,17 +141,6 @@ def require(run: Run, par: Array) -> None:
         )
 
 
-def warm() -> None:
-    """Compile the kernels (or load them from numba's cache), so that the first user does not wait."""
-    from core.simulation.links import body_from_commands, imu_from_path
-    from core.simulation.scenarios import SCENARIOS
-
-    run = SCENARIOS["straight"].run()
-    simulate_many(run, [{}, {}])
-    simulate(run, {}, 0)
-    imu_from_path(body_from_commands(run, {}), run, {})
-
-
 def last_instant(inputs: Inputs, par: Array) -> float:
     """The last instant that any reading asks for [s]."""
     last = [float(t[-1]) for t in (inputs.wheels, inputs.beacon, inputs.ranges, inputs.truth) if len(t)]

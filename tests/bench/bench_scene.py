@@ -12,7 +12,7 @@ sys.path[:0] = [str(Path(__file__).parents[1] / "app"), str(Path(__file__).paren
 
 from scene_world import Browser, Hand, Store, scene_data, serve  # noqa: E402
 
-from app.scene import build  # noqa: E402
+from app.scene.export import export_html  # noqa: E402
 from app.scene.pool import Scenes  # noqa: E402
 from app.settings import Settings  # noqa: E402
 
@@ -60,7 +60,7 @@ def playing(seconds: float = 5.0) -> None:
 def large() -> None:
     data = scene_data(rows=1_000_000)
     start = time.perf_counter()
-    html = build.export_html(data, "light")
+    html = export_html(data, "light")
     print(
         f"a million rows, 2 methods: an HTML file of {len(html) / 2**20:.1f} MiB in {time.perf_counter() - start:.2f} s"
     )
