@@ -14,6 +14,7 @@ from app.api.streams import ARROW_RESPONSE, Columns, Form, From, Points, To, ans
 from app.db.tables import Estimate as Row
 from app.figures import errors as figures
 from app.figures import path as path_figure
+from app.figures.understood import understood
 from app.store import arrays, results
 from app.store import runs as run_store
 from core.errors import MissingStreamError, ParameterError
@@ -112,8 +113,11 @@ def get_path(
     t1: To = None,
     points: Annotated[int, Query(ge=path_figure.MIN_POINTS, le=path_figure.MAX_POINTS)] = 4000,
 ) -> Response:
-    """Truth, fixes and the newest estimate of each method, at most `points` poses each, chosen to keep the shape."""
-    run = arrays.run_from_manifest(settings.data, run_store.manifest(session, run_id))
+    """Truth, fixes and the newest estimate of each method, at most `points` poses each, chosen to keep the shape.
+
+    Beacons and fixes are where the estimates take them to be: their notes say what was put right.
+    """
+    run = understood(run_id, arrays.run_from_manifest(settings.data, run_store.manifest(session, run_id)))
     wanted = {m.strip() for m in methods.split(",")} if methods is not None else None
     sources = [
         *path_figure.of_run(run),

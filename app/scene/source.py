@@ -12,6 +12,7 @@ from sqlalchemy import Engine
 
 from app.db.session import reading
 from app.figures import path as figures
+from app.figures.understood import understood
 from app.scene.data import SceneData, SceneEvent, ScenePath, Spread, events_on, fixes_of, truth_path
 from app.scene.pool import Scenes
 from app.scene.style import primary
@@ -66,7 +67,7 @@ def load(engine: Engine, settings: Settings, run_id: str) -> SceneData:
     current = revision(engine, run_id)  # before the data: what comes in between is seen as new next time
     with reading(engine) as session:
         name = runs.get_run(session, run_id).name
-        run = runs.load_run(session, settings, run_id)
+        run = understood(run_id, runs.load_run(session, settings, run_id))
         estimates = results.latest_by_method(session, run_id).values()
         sources = [figures.of_estimate(settings.data, estimate) for estimate in estimates]
         found = events.list_events(session, run_id)

@@ -113,7 +113,7 @@ def gather_rounds(log: RangeLog, beacons: dict[str, tuple[float, float, float]])
     kept = known[log.beacon] & np.isfinite(log.range) & (log.range > 0)
     t, index, ranges = log.t[kept], log.beacon[kept].astype(np.intp), np.asarray(log.range, np.float64)[kept]
     unknown = sorted(name for name in log.names if name not in beacons)
-    notes = (f"Ranges to unsurveyed beacons were ignored: {', '.join(unknown)}.",) if unknown else ()
+    notes = (unsurveyed_note(unknown),) if unknown else ()
     slot = np.floor(t / ROUND).astype(np.int64)
     last = np.flatnonzero(np.diff(slot, append=slot[-1:] + 1) > 0) if t.size else np.zeros(0, np.intp)
     member = last[:, None] - np.arange(MAX_IN_ROUND)[None, :]
@@ -123,6 +123,11 @@ def gather_rounds(log: RangeLog, beacons: dict[str, tuple[float, float, float]])
     used &= _newest_until_three(index[member], age, used)
     full = _first_of_its_beacon(index[member], used).sum(axis=1) >= 3
     return Rounds(t[last][full], where[index[member]][full], ranges[member][full], used[full], age[full]), notes
+
+
+def unsurveyed_note(names: list[str]) -> str:
+    """Said of beacons whose place nobody knows."""
+    return f"Ranges to unsurveyed beacons were ignored: {', '.join(names)}."
 
 
 def _newest_until_three(index: Indices, age: Array, used: Flags) -> Flags:

@@ -14,7 +14,6 @@ import numpy.typing as npt
 
 from core.estimation.assumptions import Assumptions, Config, assume, encoder_quantum
 from core.estimation.cleaning import gyro_readings, wheel_readings
-from core.estimation.counters import counters
 from core.estimation.events import detect
 from core.estimation.rest import at_rest
 from core.estimation.result import Curve, Estimate
@@ -102,7 +101,6 @@ def start_covariance(run: Run, numbers: Assumptions) -> Array:
 def encoders(run: Run, config: Config | None = None) -> Estimate:
     """Path by the wheels alone, one pose per wheel stamp."""
     numbers, _ = assume(run, config)
-    run, mended = counters(run, numbers)
     wheels, robot = run.wheels, run.meta.robot
     assert wheels is not None and robot.wheel_radius and robot.track_width  # the pipeline has checked
     path = wheel_path(wheels, robot.wheel_radius, robot.track_width)
@@ -112,9 +110,7 @@ def encoders(run: Run, config: Config | None = None) -> Estimate:
     covariance = growth(pose, var_d, var_turn, start_covariance(run, numbers))
     covariance += reading_noise(pose[:, 2], encoder_quantum(run, numbers) * robot.wheel_radius, robot.track_width)
     covariance += geometry_error(pose, path.d, robot.track_width, numbers)
-    return Estimate(
-        "encoders", Trajectory(path.t, pose[:, 0], pose[:, 1], pose[:, 2], covariance), notes=(*mended, *notes)
-    )
+    return Estimate("encoders", Trajectory(path.t, pose[:, 0], pose[:, 1], pose[:, 2], covariance), notes=notes)
 
 
 def step_noise(path: WheelPath, track: float, numbers: Assumptions) -> tuple[Array, Array]:
@@ -162,10 +158,8 @@ def encoders_gyro(run: Run, config: Config | None = None) -> Estimate:
     from core.estimation._gyro_numba import N, walk
 
     numbers, notes = assume(run, config)
-    run, mended = counters(run, numbers)
     imu, wheels, robot = run.imu, run.wheels, run.meta.robot
     assert imu is not None and wheels is not None and robot.wheel_radius
-    notes = (*mended, *notes)
     path = wheel_path(wheels, robot.wheel_radius, robot.track_width)
     begin, start_notes = _pose_at_first_imu_stamp(run, path)
     rest = at_rest(run, numbers)

@@ -1,7 +1,8 @@
 """`estimate(run, method)`: where the robot was, by one method. The story, one screen.
 
-Given: a run with what the method needs. Done: the method's needs are checked, its numbers are taken from the run (else
-assumed, and said so in the notes), the path is estimated with its uncertainty. Truth is never looked at.
+Given: a run with what the method needs. Done: the method's needs are checked, what is plainly wrong with the run is put
+right (`sanity`, the same for all methods), its numbers are taken from the run (else assumed, and said so in the notes),
+the path is estimated with its uncertainty. Truth is never looked at.
 To add a method: a file with its function, a row in METHODS.
 """
 
@@ -9,17 +10,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from core.errors import MissingStreamError, ParameterError
 from core.estimation import needs
-from core.estimation.assumptions import Config
+from core.estimation.assumptions import Config, assume
 from core.estimation.beacon import beacon
 from core.estimation.fusion.fused import fused, fused_and_smoothed, smoothed
 from core.estimation.odometry import encoders, encoders_gyro
 from core.estimation.published import missing as missing_for_published
 from core.estimation.published import published
 from core.estimation.result import Estimate
+from core.estimation.sanity import sound
 from core.run import Run
 
 
@@ -119,8 +121,7 @@ def estimate(run: Run, method: str, config: Config | None = None) -> Estimate:
     `core.estimation.assumptions.Assumptions` by name. Raises ParameterError (unknown method or option) and
     MissingStreamError (the run lacks what the method needs).
     """
-    _check(run, method)
-    return METHODS[method].run(run, config)
+    return Estimates(run, (method,), config).by(method)
 
 
 class Estimates:
@@ -133,6 +134,7 @@ class Estimates:
     def __init__(self, run: Run, methods: Sequence[str], config: Config | None = None) -> None:
         self._run, self._methods, self._config = run, tuple(methods), config
         self._made: dict[str, Estimate] = {}
+        self._sound: tuple[Run, tuple[str, ...]] | None = None
         self.seconds: dict[str, float] = {}
 
     def by(self, method: str) -> Estimate:
@@ -140,18 +142,26 @@ class Estimates:
         if method not in self._made:
             _check(self._run, method)
             began = time.perf_counter()
+            run, wrong = self._sound = self._sound or sound(self._run, assume(self._run, self._config)[0])
+            _check(run, method, wrong)
             if method in PAIR and all(one in self._methods for one in PAIR):
-                made = dict(zip(PAIR, fused_and_smoothed(self._run, self._config), strict=True))
+                made = dict(zip(PAIR, fused_and_smoothed(run, self._config), strict=True))
             else:
-                made = {method: METHODS[method].run(self._run, self._config)}
-            self._made |= made
+                made = {method: METHODS[method].run(run, self._config)}
+            self._made |= {name: _with(wrong, one) for name, one in made.items()}
             self.seconds |= dict.fromkeys(made, time.perf_counter() - began)
         return self._made[method]
 
 
-def _check(run: Run, method: str) -> None:
+def _with(wrong: tuple[str, ...], made: Estimate) -> Estimate:
+    """What was wrong with the run is said first, and once."""
+    return replace(made, notes=(*wrong, *(note for note in made.notes if note not in wrong)))
+
+
+def _check(run: Run, method: str, wrong: tuple[str, ...] = ()) -> None:
     if method not in METHODS:
         raise ParameterError(f"unknown method {method!r}", parameter="method", expected=tuple(METHODS), found=method)
     reason = METHODS[method].missing(run)
     if reason is not None:
-        raise MissingStreamError(f"{method} cannot run: {reason}", method=method, missing=reason)
+        told = "".join(f". {note}" for note in wrong)
+        raise MissingStreamError(f"{method} cannot run: {reason}{told}", method=method, missing=reason)

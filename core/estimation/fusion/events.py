@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from core.estimation.assumptions import Assumptions
+from core.estimation.beacon import unsurveyed_note
 from core.estimation.cleaning import finite_rows, forward_acceleration, gyro_readings
 from core.estimation.fusion.layout import BR, FIX, JUMP, KR, OUT, RANGE, REST, STILL, WHEEL, N, Readings
 from core.estimation.odometry import WheelPath, longest_hold, wheel_path
@@ -142,5 +143,5 @@ def _range_rows(run: Run) -> tuple[Array, Array, tuple[str, ...], tuple[str, ...
     rows = np.column_stack((where[log.beacon], ranges, log.beacon.astype(np.float64)))
     kept = finite_rows(rows) & (ranges > 0) & (ranges <= FARTHEST)
     unknown = sorted(name for name in log.names if name not in run.meta.beacons)
-    notes = (f"Ranges to unsurveyed beacons were ignored: {', '.join(unknown)}.",) if unknown else ()
+    notes = (unsurveyed_note(unknown),) if unknown else ()
     return log.t[kept], rows[kept], tuple(log.names), notes

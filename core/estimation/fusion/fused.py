@@ -21,7 +21,6 @@ from core.estimation.fusion.events import Events, merge
 from core.estimation.fusion.findings import all_events, findings, innovations, leaps, parameters
 from core.estimation.fusion.layout import FIX, RANGE, WHEEL
 from core.estimation.fusion.noise import learn, trusted_turns
-from core.estimation.fusion.sanity import sound
 from core.estimation.fusion.start import Start, find_start
 from core.estimation.fusion.walk import Problem, Walk, problem, smooth, walk
 from core.estimation.fusion.witness import rest_walk, turn_slip
@@ -77,9 +76,8 @@ def fused_and_smoothed(run: Run, config: Config | None = None) -> tuple[Estimate
 
 
 def prepare(run: Run, config: Config | None = None) -> Prepared:
-    """All that comes before the walk."""
+    """All that comes before the walk, of a run that is sound (`core.estimation.sanity`)."""
     numbers, notes = assume(run, config)
-    run, wrong = sound(run, numbers)
     first = numbers
     with ThreadPoolExecutor(1) as aside:
         disturbed = aside.submit(detect, run, numbers)
@@ -98,7 +96,7 @@ def prepare(run: Run, config: Config | None = None) -> Prepared:
 
     wheels = turn_slip(run, events, numbers, disturbances) if rest is not None else None
     numbers, learnt = learn(run, events, numbers, config or {}, trial, wheels, rest_walk(run, rest))
-    notes = (*wrong, *start.notes, *trusted, *learnt, *found.clocks, *notes, *events.notes)
+    notes = (*start.notes, *trusted, *learnt, *found.clocks, *notes, *events.notes)
     return Prepared(run, events, numbers, problem(run, events, start, numbers, rest), disturbances, rest, notes)
 
 

@@ -10,10 +10,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from core.errors import NotEnoughDataError
 from core.estimation import needs
 from core.estimation.assumptions import Assumptions, Config, assume
-from core.estimation.fusion.sanity import sound
 from core.estimation.fusion.start import HEADING_KNOWN, fit_rigid
 from core.estimation.odometry import arcs, start_pose, wheel_path
 from core.estimation.published.decisions import Decisions
@@ -50,11 +48,11 @@ def published(run: Run, config: Config | None = None) -> Estimate:
 
 
 def navigate(run: Run, config: Config | None, choice: Decisions) -> Estimate:
-    """The same with other decisions on what the paper leaves open. Raises NotEnoughDataError without usable fixes."""
+    """The same with other decisions on what the paper leaves open. Of a run that is sound (`sanity`).
+
+    Raises NotEnoughDataError without usable fixes.
+    """
     numbers, notes = assume(run, config)
-    run, wrong = sound(run, numbers)
-    if run.beacon is None and run.ranges is None:
-        raise NotEnoughDataError(f"no beacon is left to go by. {' '.join(wrong)}", stream="beacon")
     s = signals(run, numbers, choice)
     steps, slips = choose(s, numbers, choice)
     hits = shocks(s, choice)
@@ -72,7 +70,7 @@ def navigate(run: Run, config: Config | None, choice: Decisions) -> Estimate:
         _between_fixes(path, track),
         events=tuple(sorted(events, key=lambda event: event.t0)),
         innovations=track.innovations,
-        notes=(*wrong, *start_notes, *fix_notes, *notes),
+        notes=(*start_notes, *fix_notes, *notes),
     )
 
 

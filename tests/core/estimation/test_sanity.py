@@ -10,11 +10,14 @@ import pytest
 
 from core.estimation import estimate
 from core.estimation.assumptions import assume
-from core.estimation.fusion.sanity import sound
+from core.estimation.pipeline import Estimates
+from core.estimation.sanity import sound
 from core.metrics import evaluate
 from core.run import Run
 
 from .world import Sensors, simulate
+
+Place = tuple[float, float, float]
 
 WORLD = simulate(31, 60.0)
 RANGED = simulate(32, 60.0, sensors=Sensors(fixes=0, ranges=20))
@@ -61,6 +64,39 @@ def mirrored(run: Run) -> Run:
     return dataclasses.replace(run, beacon=fixes)
 
 
+def axes_exchanged(run: Run) -> Run:
+    """As where x is north and y east, headings clockwise."""
+    assert run.beacon is not None and run.beacon.theta is not None
+    fixes = dataclasses.replace(run.beacon, x=run.beacon.y, y=run.beacon.x, theta=np.pi / 2 - run.beacon.theta)
+    return dataclasses.replace(run, beacon=fixes)
+
+
+def mirrored_and_no_start(run: Run) -> Run:
+    """The path is then one in the mended map, which here is the true one."""
+    return unknown_start(mirrored(run))
+
+
+def unknown_start(run: Run) -> Run:
+    return dataclasses.replace(run, meta=dataclasses.replace(run.meta, start=None))
+
+
+def radius_in_millimetres(run: Run) -> Run:
+    robot = dataclasses.replace(run.meta.robot, wheel_radius=75.0, track_width=32.0)
+    return dataclasses.replace(run, meta=dataclasses.replace(run.meta, robot=robot))
+
+
+def places(change: Callable[[dict[str, Place]], dict[str, Place]]) -> Callable[[Run], Run]:
+    def made(run: Run) -> Run:
+        return dataclasses.replace(run, meta=dataclasses.replace(run.meta, beacons=change(dict(run.meta.beacons))))
+
+    return made
+
+
+def ranges_in_millimetres(run: Run) -> Run:
+    assert run.ranges is not None
+    return dataclasses.replace(run, ranges=dataclasses.replace(run.ranges, range=run.ranges.range * 1e3))
+
+
 MISTAKES: dict[str, tuple[Callable[[Run], Run], str, float]] = {
     "gyro in degrees": (imu(gz=180 / np.pi), "degrees", 0.15),
     "IMU upside down": (imu(gz=-1.0), "upside down", 0.15),
@@ -69,17 +105,46 @@ MISTAKES: dict[str, tuple[Callable[[Run], Run], str, float]] = {
     "wheels in degrees, no gyro": (wheels_in_degrees_without_a_gyro, "wheels read degrees", 0.15),
     "fixes in millimetres": (fixes_in_millimetres, "millimetres", 0.15),
     "fix headings in degrees": (fix_headings_in_degrees, "headings read degrees", 0.15),
-    "mirrored map": (mirrored, "mirrored", 1.5),
+    "mirrored map": (mirrored, "sign of its y", 0.15),
+    "mirrored map, unknown start": (mirrored_and_no_start, "nobody tells the axis", 0.15),
+    "axes exchanged": (axes_exchanged, "x and y are exchanged", 0.15),
+    "radius in millimetres, track in centimetres": (radius_in_millimetres, "32 m, is in centimetres", 0.15),
+}
+EXCHANGED = places(lambda p: {**p, "B1": p["B3"], "B3": p["B1"]})
+MIRRORED = places(lambda p: {name: (x, -y, z) for name, (x, y, z) in p.items()})
+RANGED_MISTAKES: dict[str, tuple[Callable[[Run], Run], str]] = {
+    "ranges in millimetres": (ranges_in_millimetres, "ranges read millimetres"),
+    "places in millimetres": (
+        places(lambda p: {n: (1e3 * x, 1e3 * y, 1e3 * z) for n, (x, y, z) in p.items()}),
+        "are in",
+    ),
+    "two exchanged": (EXCHANGED, "B1 and B3 are exchanged"),
+    "two exchanged, unknown start": (lambda run: unknown_start(EXCHANGED(run)), "B1 and B3 are exchanged"),
+    "three": (places(lambda p: {**p, "B1": p["B2"], "B2": p["B3"], "B3": p["B1"]}), "B1, B2 and B3 are exchanged"),
+    "mirrored": (MIRRORED, "sign of its y"),
+    "mirrored, unknown start": (lambda run: unknown_start(MIRRORED(run)), "nobody tells the axis"),
 }
 
 
 @pytest.mark.parametrize("name", MISTAKES)
 def test_a_mistake_is_named_and_put_right(name: str) -> None:
     make, words, bound = MISTAKES[name]
-    found = estimate(make(WORLD.run), "fused")
-    assert any(words in note for note in found.notes), found.notes
-    errors = evaluate(found.trajectory, WORLD.run.truth)
-    assert errors.max_m is not None and errors.max_m < bound
+    check(make(WORLD.run), WORLD.run, words, {"fused": bound, "beacon": 0.4})
+
+
+def check(run: Run, true: Run, words: str, bounds: dict[str, float]) -> None:
+    made = Estimates(run, tuple(bounds))
+    for method, bound in bounds.items():
+        found = made.by(method)
+        assert any(words in note for note in found.notes), found.notes
+        errors = evaluate(found.trajectory, true.truth)
+        assert errors.max_m is not None and errors.max_m < bound
+
+
+@pytest.mark.parametrize("name", RANGED_MISTAKES)
+def test_a_mistake_in_ranges_or_their_beacons_is_put_right(name: str) -> None:
+    make, words = RANGED_MISTAKES[name]
+    check(make(RANGED.run), RANGED.run, words, {"fused": 0.15, "beacon": 0.4})
 
 
 def test_an_accelerometer_in_g_is_converted() -> None:
@@ -90,27 +155,6 @@ def test_an_accelerometer_in_g_is_converted() -> None:
     found, notes = sound(dataclasses.replace(run, imu=in_g), assume(run)[0])
     assert found.imu is not None and found.imu.az is not None
     assert found.imu.az[0] == pytest.approx(9.80665) and "reads g" in notes[0]
-
-
-def test_ranges_in_millimetres_are_converted() -> None:
-    log = RANGED.run.ranges
-    assert log is not None
-    found = estimate(dataclasses.replace(RANGED.run, ranges=dataclasses.replace(log, range=log.range * 1e3)), "fused")
-    assert any("ranges read millimetres" in note for note in found.notes)
-    errors = evaluate(found.trajectory, RANGED.run.truth)
-    assert errors.max_m is not None and errors.max_m < 0.15
-
-
-@pytest.mark.parametrize("known", [True, False], ids=["known start", "unknown start"])
-def test_two_beacons_exchanged_are_put_right(known: bool) -> None:
-    places = dict(RANGED.run.meta.beacons)
-    places["B1"], places["B3"] = places["B3"], places["B1"]
-    meta = dataclasses.replace(RANGED.run.meta, beacons=places, start=RANGED.run.meta.start if known else None)
-    run = dataclasses.replace(RANGED.run, meta=meta)
-    found = estimate(run, "fused")
-    assert any("B1 and B3 are exchanged" in note for note in found.notes)
-    errors = evaluate(found.trajectory, RANGED.run.truth)
-    assert errors.max_m is not None and errors.max_m < 0.15
 
 
 def test_beacons_on_one_line_are_said_to_be() -> None:

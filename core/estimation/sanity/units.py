@@ -1,8 +1,6 @@
-"""What is plainly wrong with a run before anything is estimated: units, signs, mirrored maps, exchanged beacons.
+"""Units and signs: gyro, accelerometer, wheels, fixes, ranges, and the numbers of run.json.
 
-Each check compares two witnesses of the same motion and looks for the factor or sign that a mistake would leave. What
-is found is named, and put right where there is no doubt how; else the sensor is left out. Nothing is guessed from one
-witness alone.
+Each check compares two witnesses of the same motion and looks for the factor or sign that a mistake would leave.
 """
 
 from __future__ import annotations
@@ -10,24 +8,21 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
 
 from core.estimation.assumptions import Assumptions
 from core.estimation.cleaning import gyro_readings
-from core.estimation.counters import counters
 from core.estimation.fusion.events import FARTHEST
-from core.estimation.fusion.range_start import fit_ranges
-from core.estimation.fusion.start import LONGEST, fit_rigid
+from core.estimation.fusion.start import LONGEST
 from core.estimation.odometry import arcs, wheel_path
-from core.geometry import compose
 from core.run import Run
 from core.sensors import ImuLog
 
 Array = npt.NDArray[np.float64]
-Check = Callable[[Run, Assumptions], tuple[Run, tuple[str, ...]]]
+Mended = tuple[Run, tuple[str, ...]]
+"""A run, and a sentence on what was put right or left out."""
 
 DEGREES = 180.0 / math.pi
 GRAVITY = 9.80665
@@ -37,22 +32,27 @@ NEAR = 1.25  # a factor that is that near to a mistake's is the mistake
 LENGTHS = {"millimetres": 1000.0, "centimetres": 100.0}
 STRETCH = 2.0  # s over which distances are compared
 ENOUGH = 12  # fixes or ranges of one beacon
-MOVED = 1.0  # m that the robot must have driven
-CLEARLY = 5.0  # by how much the right assumption must fit better
 ALIKE, UNLIKE = 0.9, 0.5  # how much headings agree (mean direction of their differences) that are, that are not
-MOST_FITTED = 160  # ranges by which two beacons are told apart where nobody knows the start
+WHEEL_MM, WHEEL_CM = 20.0, 2.0  # m: no robot's wheel has such a radius
+TRACK_MM, TRACK_CM = 100.0, 10.0  # m: nor such a track
 
 
-def sound(run: Run, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
-    """The run with what is plainly wrong put right or left out, and a sentence on each."""
-    notes: tuple[str, ...] = ()
-    for check in CHECKS:
-        run, more = check(run, numbers)
-        notes += more
-    return run, notes
+def dimensions(run: Run, numbers: Assumptions) -> Mended:
+    """Wheel radius and track width of run.json in millimetres or centimetres."""
+    robot, notes = run.meta.robot, []
+    for name, mm, cm in (("wheel_radius", WHEEL_MM, WHEEL_CM), ("track_width", TRACK_MM, TRACK_CM)):
+        value = getattr(robot, name)
+        if value is None or not cm <= value < 1e3 * cm:
+            continue
+        unit = "millimetres" if value >= mm else "centimetres"
+        robot = dataclasses.replace(robot, **{name: value / LENGTHS[unit]})
+        notes.append(f"The {name.replace('_', ' ')} in run.json, {value:g} m, is in {unit}: converted.")
+    return (dataclasses.replace(run, meta=dataclasses.replace(run.meta, robot=robot)), tuple(notes)) if notes else (
+        run, ()
+    )  # fmt: skip
 
 
-def _gravity(run: Run, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
+def gravity(run: Run, numbers: Assumptions) -> Mended:
     """An accelerometer in g, or upside down."""
     imu = run.imu
     if imu is None or imu.az is None or not np.isfinite(imu.az).any():
@@ -76,7 +76,7 @@ def _turned_over(imu: ImuLog) -> ImuLog:
     return dataclasses.replace(imu, **turned)
 
 
-def _turning(run: Run, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
+def turning(run: Run, numbers: Assumptions) -> Mended:
     """The gyro against the wheels' turn: its sign and its unit."""
     imu, wheels, robot = run.imu, run.wheels, run.meta.robot
     if imu is None or wheels is None or not robot.track_width or not robot.wheel_radius or len(imu) < 10:
@@ -138,7 +138,7 @@ def reckoned(run: Run) -> tuple[Array, Array] | None:
     return path.t, arcs(path.d, turn)
 
 
-def _leading(run: Run, stamps: Array) -> tuple[Array, npt.NDArray[np.intp]] | None:
+def leading(run: Run, stamps: Array) -> tuple[Array, npt.NDArray[np.intp]] | None:
     """Dead-reckoned poses (K, 3) at those of the stamps that lie in the first LONGEST metres, and which."""
     found = reckoned(run)
     if found is None or not len(stamps):
@@ -151,7 +151,7 @@ def _leading(run: Run, stamps: Array) -> tuple[Array, npt.NDArray[np.intp]] | No
     return (at, rows) if len(rows) >= ENOUGH and np.ptp(at[:, :2], axis=0).max() > 1e-9 else None
 
 
-def _fixes(run: Run, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
+def fixes(run: Run, numbers: Assumptions) -> Mended:
     """Fixes against the wheels' distance and the dead-reckoned path: units, and a map that is mirrored."""
     ratio = _metres_per_metre(run, numbers)
     fixes, wheels = run.beacon, run.wheels
@@ -163,22 +163,10 @@ def _fixes(run: Run, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
             return dataclasses.replace(run, beacon=fixes), (f"The fixes read {words} in place of metres: converted.",)
     if 1 / NEAR < ratio * DEGREES < NEAR:
         return _wheels_converted(run)
-    run, notes = _fix_headings(run)
-    fixes = run.beacon
-    assert fixes is not None
-    stretch = _leading(run, fixes.t)
-    if stretch is None:
-        return run, notes
-    at, rows = stretch
-    xy = np.column_stack((fixes.x, fixes.y)).astype(np.float64)[rows]
-    good = (np.abs(xy) <= FARTHEST).all(axis=1)
-    if good.sum() < ENOUGH or np.ptp(at[good, :2], axis=0).max() < MOVED:
-        return run, notes
-    run, more = _mirrored(run, at[good, :2], xy[good], numbers)
-    return run, (*notes, *more)
+    return _fix_headings(run)
 
 
-def _wheels_converted(run: Run) -> tuple[Run, tuple[str, ...]]:
+def _wheels_converted(run: Run) -> Mended:
     assert run.wheels is not None
     left, right = run.wheels.left / DEGREES, run.wheels.right / DEGREES
     wheels = dataclasses.replace(run.wheels, left=left, right=right)
@@ -203,10 +191,10 @@ def _metres_per_metre(run: Run, numbers: Assumptions) -> float | None:
     return float(np.quantile(seen[use] / rolled[use], 0.7))
 
 
-def _fix_headings(run: Run) -> tuple[Run, tuple[str, ...]]:
+def _fix_headings(run: Run) -> Mended:
     """Headings of fixes against those of wheels and gyro: degrees in place of radians."""
     fixes = run.beacon
-    stretch = _leading(run, fixes.t) if fixes is not None else None
+    stretch = leading(run, fixes.t) if fixes is not None else None
     if fixes is None or fixes.theta is None or stretch is None:
         return run, ()
     at, rows = stretch
@@ -224,26 +212,7 @@ def _fix_headings(run: Run) -> tuple[Run, tuple[str, ...]]:
     return dataclasses.replace(run, beacon=fixes), ("The fixes' headings read degrees in place of radians: converted.",)
 
 
-def _mirrored(run: Run, local: Array, xy: Array, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
-    plain, turned = (_misfit(local * np.array((1.0, sign)), xy, numbers.fix_xy) for sign in (1.0, -1.0))
-    if plain < CLEARLY * max(turned, numbers.fix_xy) or plain < 0.3:
-        return run, ()
-    note = (
-        "The fixes' map is mirrored: they turn the other way round than wheels and gyro. They are left out; check the "
-        "sign of y in the beacon system."
-    )
-    return dataclasses.replace(run, beacon=None), (note,)
-
-
-def _misfit(local: Array, xy: Array, sd: float) -> float:
-    """Median distance [m] between fixes and the path laid over them."""
-    pose, _ = fit_rigid(local, xy, sd)
-    cos, sin = math.cos(pose[2]), math.sin(pose[2])
-    x, y = pose[0] + cos * local[:, 0] - sin * local[:, 1], pose[1] + sin * local[:, 0] + cos * local[:, 1]
-    return float(np.median(np.hypot(x - xy[:, 0], y - xy[:, 1])))
-
-
-def _range_units(run: Run, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
+def range_units(run: Run, numbers: Assumptions) -> Mended:
     """Ranges that change by more than the robot can have driven, by a factor that a unit leaves."""
     log, found = run.ranges, reckoned(run)
     if log is None or found is None or len(log) < 2 * ENOUGH:
@@ -268,86 +237,21 @@ def _range_units(run: Run, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
     return run, ()
 
 
-def _beacons(run: Run, numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
-    """Ranges against the dead-reckoned path: two beacons whose names are exchanged."""
-    log, start = run.ranges, run.meta.start
-    notes = _one_line(run)
-    stretch = _leading(run, log.t) if log is not None else None
-    if log is None or stretch is None:
-        return run, notes
-    at, rows = stretch
-    if start is None:
-        run, more = _exchanged(run, at, rows, numbers)
-        return run, (*notes, *more)
-    cos, sin = math.cos(start.theta), math.sin(start.theta)
-    x, y = start.x + cos * at[:, 0] - sin * at[:, 1], start.y + sin * at[:, 0] + cos * at[:, 1]
-    names = [n for n in log.names if n in run.meta.beacons and max(map(abs, run.meta.beacons[n])) <= FARTHEST]
-    ranges, which = np.asarray(log.range, np.float64)[rows], log.beacon[rows]
-
-    def misfit(name: str, place: str) -> float:
-        mine = (which == log.names.index(name)) & (np.abs(ranges) <= FARTHEST)
-        bx, by, bz = run.meta.beacons[place]
-        far = np.sqrt((x[mine] - bx) ** 2 + (y[mine] - by) ** 2 + (run.meta.robot.tag.z - bz) ** 2)
-        return float(np.median(np.abs(ranges[mine] - far))) if mine.sum() >= ENOUGH // 2 else np.nan
-
-    limit = 3 * numbers.range + 0.3
-    for a, b in itertools.combinations(names, 2):
-        now, then = (misfit(a, a), misfit(b, b)), (misfit(a, b), misfit(b, a))
-        if min(now) > limit and max(then) < limit and min(now) > CLEARLY * max(then):
-            beacons = {**run.meta.beacons, a: run.meta.beacons[b], b: run.meta.beacons[a]}
-            note = f"Beacons {a} and {b} are exchanged: their ranges fit each other's place. Put right."
-            run = dataclasses.replace(run, meta=dataclasses.replace(run.meta, beacons=beacons))
-            return run, (*notes, note)
-    return run, notes
-
-
-def _exchanged(run: Run, at: Array, rows: npt.NDArray[np.intp], numbers: Assumptions) -> tuple[Run, tuple[str, ...]]:
-    """The same where nobody knows the start: no pose explains the ranges, one does when two beacons are exchanged."""
-    log, tag = run.ranges, run.meta.robot.tag
-    assert log is not None
-    known = np.array([name in run.meta.beacons for name in log.names])
-    rows = rows[known[log.beacon[rows]] & (np.abs(log.range[rows]) <= FARTHEST)]
-    names = [name for name, surveyed in zip(log.names, known, strict=True) if surveyed]
-    if len(names) < 3 or len(rows) < 4 * ENOUGH:
+def place_units(run: Run, numbers: Assumptions) -> Mended:
+    """Beacons further apart than both of their ranges together can reach, by a factor that a unit leaves."""
+    log, beacons = run.ranges, run.meta.beacons
+    if log is None or len(log) < 2 * ENOUGH:
         return run, ()
-    rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(MOST_FITTED, len(rows))).astype(np.intp))]
-    t, pose = reckoned(run) or (np.zeros(0), np.zeros((0, 3)))
-    at = np.column_stack([np.interp(log.t[rows], t, column) for column in pose.T])
-    local = compose(at, np.broadcast_to(np.array((tag.x, tag.y, 0.0)), at.shape))[:, :2]
-    ranges = np.asarray(log.range, np.float64)[rows]
-
-    def misfit(places: dict[str, tuple[float, float, float]]) -> float:
-        anchors = np.array([places.get(name, (0.0, 0.0, 0.0)) for name in log.names], np.float64)[log.beacon[rows]]
-        return fit_ranges(local, anchors, ranges, tag.z, numbers.range, numbers.range_scale_sd).misfit
-
-    given = dict(run.meta.beacons)
-    limit = 3 * numbers.range + 0.3
-    now = misfit(given)
-    if now < limit:
-        return run, ()
-    tried = [{**given, a: given[b], b: given[a]} for a, b in itertools.combinations(names, 2)]
-    left = [misfit(places) for places in tried]
-    best = int(np.argmin(left))
-    if left[best] > limit or now < CLEARLY * left[best]:
-        return run, ()
-    a, b = list(itertools.combinations(names, 2))[best]
-    note = f"Beacons {a} and {b} are exchanged: their ranges fit each other's place. Put right."
-    return dataclasses.replace(run, meta=dataclasses.replace(run.meta, beacons=tried[best])), (note,)
-
-
-def _one_line(run: Run) -> tuple[str, ...]:
-    if run.ranges is None:
-        return ()
-    places = [run.meta.beacons[name][:2] for name in run.ranges.names if name in run.meta.beacons]
-    if not places:
-        return ()
-    xy = np.array(places)
-    spread = np.linalg.svd(xy - xy.mean(axis=0), compute_uv=False)
-    if len(places) > 2 and spread[1] > 1e-3 * max(float(spread[0]), 1e-9):
-        return ()
-    return (
-        "The beacons stand on one line: ranges alone cannot tell its two sides apart, only the start and turns can.",
-    )
-
-
-CHECKS: tuple[Check, ...] = (counters, _gravity, _turning, _fixes, _range_units, _beacons)
+    ranges, ratios = np.asarray(log.range, np.float64), []
+    usual = {
+        name: float(np.median(mine)) for k, name in enumerate(log.names)
+        if name in beacons and (mine := ranges[(log.beacon == k) & (ranges > 0)][:1000]).size >= ENOUGH
+    }  # fmt: skip
+    for a, b in itertools.combinations(usual, 2):
+        ratios.append(math.dist(beacons[a], beacons[b]) / (usual[a] + usual[b]))
+    for words, factor in LENGTHS.items():
+        if ratios and 0.15 < max(ratios) / factor < NEAR:
+            places = {name: (x / factor, y / factor, z / factor) for name, (x, y, z) in beacons.items()}
+            note = f"The beacons' places in run.json are in {words}: converted."
+            return dataclasses.replace(run, meta=dataclasses.replace(run.meta, beacons=places)), (note,)
+    return run, ()
