@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from core.effects import EFFECTS
+from core.gap.asked import cut_off
 from core.gap.candidates import Candidate
 from core.gap.discrepancy import driven
 from core.gap.fit import flaws_of, refit, trifles_of, with_trifles
@@ -97,10 +98,10 @@ def explain(
     drive = [c for c in tried if EFFECTS[c.effect].family == "drive"]
     ticks = [c for c in tried if c.effect == "missed_ticks"]
     rest = [c for c in tried if c not in drive and c not in ticks]
-    wheels = search(problem, drive, "wheels", start, aside=ticks)
+    wheels = cut_off(search(problem, drive, "wheels", start, aside=ticks), drive, ticks)
     progress(0.3, "searching the body")
     body = search(_driven(wheels, {}), rest, "body", start)
-    lost = _missed(problem, wheels, drive, ticks)
+    lost = _missed(problem, wheels, drive, ticks) if wheels.unknown is None else None
     if lost is not None:
         held = {"missed_ticks": lost.fit.model["missed_ticks"]}
         other = search(_driven(lost, held), rest, "body")

@@ -9,6 +9,7 @@ import numpy as np
 from core.effects import EFFECTS
 from core.gap.explain import Search
 from core.gap.fit import refit
+from core.gap.linear import HUBER
 from core.gap.selection import Found
 from core.gap.types import Unexplained
 from core.gap.unknown import CHANCE, LEFTOVER, depends_on, rest_of, strange, strangeness, stream_of, touching, words
@@ -37,8 +38,14 @@ def inexact(one: Found, streams: Collection[str] | None = None) -> float:
     explained = sum(v for name, v in one.earned.items() if streams is None or set(EFFECTS[name].streams) & set(streams))
     if c < LOUD * n or explained <= 0.0:
         return 0.0
-    share = (c - n) / (c - n + explained)
+    share = (_squares(c, n) - n) / (_squares(c + explained, n) - n)
     return 1.0 / (1.0 + (HALF / max(share, 1e-9)) ** 4)
+
+
+def _squares(loss: float, n: float) -> float:
+    """Sum of squares of n residuals of this loss: Huber's counts far ones by their size, not its square."""
+    mean = loss / max(n, 1.0)
+    return loss if mean <= HUBER**2 else n * ((mean + HUBER**2) / (2.0 * HUBER)) ** 2
 
 
 LOUD, HALF = 1.5, 0.3

@@ -74,6 +74,7 @@ def _patches(problem: Problem, bodies: list[Outputs]) -> list[Candidate]:
     found.sort(key=lambda pair: -pair[0])
     rough = [disc for gain, disc in found[:REFINED] if gain > 0.0]
     fine = sorted((_moved(disc, xy, score, info) for disc in rough), key=lambda pair: -pair[0])
+    fine = [(gain, disc) for gain, disc in fine if _met_again(disc, problem.worlds, bodies)]
     names = ("x", "y", "radius", "slip")
     starts = [dict(zip(names, (*disc, _slip(disc, xy, score, info)[1]), strict=True)) for _, disc in fine]
     return [Candidate("slip_patch", one, names, secant=True) for one in starts[:PATCHES]]
@@ -86,6 +87,22 @@ REFINED = 6
 """So many discs of the grid have their edges moved over the points themselves."""
 MOVES = (0.2, 0.1, 0.05, 0.025, 0.012, 0.006)
 """By so much [m], one after the other."""
+
+
+def _met_again(disc: Disc, worlds: Sequence[World], bodies: Sequence[Outputs]) -> bool:
+    """Whether a disc is met other than by beginning in it: what only the beginning shows is a start, not a place."""
+    inside = first = 0
+    for world, body in zip(worlds, bodies, strict=True):
+        set_down = world.stamps >= world.restarts[:1, 0].max(initial=-np.inf)
+        x, y = body.x[0, set_down], body.y[0, set_down]
+        here = (x - disc[0]) ** 2 + (y - disc[1]) ** 2 < disc[2] ** 2
+        inside += int(here.sum())
+        first += len(here) if here.all() else int(here.argmin())
+    return inside - first > STARTS * inside
+
+
+STARTS = 0.25
+"""Of the readings in a disc, this share must come after a run first left it, or before it was there."""
 
 
 def _slip(disc: Disc, xy: Array, score: Array, info: Array) -> tuple[float, float]:

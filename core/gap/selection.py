@@ -14,7 +14,7 @@ from core.gap.candidates import SEARCHED, Candidate
 from core.gap.discrepancy import flaws
 from core.gap.fit import Fit, fit_at, lost, parameters_of, refit, with_trifles, without
 from core.gap.generic import TRIFLE, Shape
-from core.gap.linear import Model, Problem, cost_at, linearised, nuisances_of, secants_of, with_floor
+from core.gap.linear import HUBER, Model, Problem, cost_at, linearised, nuisances_of, secants_of, with_floor
 from core.gap.places import placed, polish
 from core.gap.scatter import gyro_left, gyro_walk
 from core.gap.screen import Screen
@@ -100,6 +100,7 @@ def search(
         worth = max(worth, BESIDE * unknown[1]) if unknown is not None else worth
         chosen = _worthy(problem, fit, screen, (fresh, gain), worth, tolerated)
         fits = _compared(problem, fit, chosen, scope) or _masked(problem, fit, fresh, paired, worth, scope)
+        fits = fits or _late(problem, fit, fresh, worth, scope)
         if not fits:
             break
         name, best = min(fits, key=lambda item: _priced(item[1]))
@@ -214,6 +215,7 @@ def _excess(fit: Fit) -> dict[str, float]:
     """What a fit leaves of each channel above its noise."""
     n, c = fit.normal.n.sum(axis=1), fit.normal.c.sum(axis=1)
     over = np.maximum(c - n - 4.0 * np.sqrt(2.0 * n), 0.0)
+    over = np.where(c > HUBER**2 * n, 0.5 * over, over)  # linear there: a share of the squares is half of it
     return dict(zip(fit.normal.channels, over.tolist(), strict=True))
 
 
@@ -275,6 +277,25 @@ def _masked(
         return []
     starts = {one.effect: dict(one.start) for one in reversed(fresh) if one.effect in names}
     return [("+".join(names), refit(problem, {**fit.model, **starts}, scope, BRIEF))]
+
+
+def _late(problem: Problem, fit: Fit, fresh: Sequence[Candidate], worth: float, scope: str) -> list[tuple[str, Fit]]:
+    """A drive that is late by a good part of its moves: delay and lag together, from several starts.
+
+    Far from neutral neither's derivative promises what it brings, and of what is late each takes but its part.
+    """
+    n, c = (float(part.sum()) for part in (fit.normal.n, fit.normal.c))
+    if scope != "wheels" or c < HUBER**2 * n or not {one.effect for one in fresh} >= set(LATE):
+        return []
+    tried = [{name: {LATE[name]: by} for name in LATE} for by in (0.05, 0.3)]
+    best = min((refit(problem, {**fit.model, **late}, scope, BRIEF) for late in tried), key=_priced)
+    left = _excess(fit)
+    if fit.cost - best.cost < max(_least(name, worth, left, {}) for name in LATE):
+        return []
+    return [("+".join(LATE), best)]
+
+
+LATE = {"command_delay": "delay", "motor_lag": "tau"}
 
 
 def _earned(problem: Problem, fit: Fit, scope: str, steps: Sequence[Step]) -> dict[str, float]:
