@@ -19,6 +19,8 @@ TURN_WAY = 0.15
 """A turn of one radian lets the pose walk as far as this way driven [m/rad]: half a small robot's track."""
 SIDE = 0.3
 """Walk of the position [m] per walk of the heading [rad]."""
+DAMPED = 0.7
+"""Damping of what a smoothed curve through rounded angles is off by: hardly a swing, and nothing that lasts."""
 
 
 @compiled
@@ -89,29 +91,6 @@ def whiten_poses(
 
 
 @compiled
-def whiten_walk(t: Array, sigma: Array, density: float, values: Array) -> float:
-    """Innovations of readings (M, N), in place, whose offset walks from 0 at t = 0; returns the sum of log variances.
-
-    sigma (N,): white noise; density: of the walk, per root of a second. As `whiten_poses`, over standard deviations.
-    """
-    sides, n = values.shape
-    offset = np.zeros(sides)
-    p, last, logs = 0.0, 0.0, 0.0
-    for k in range(n):
-        p += density * density * max(t[k] - last, 0.0)
-        last = max(t[k], last)
-        s = p + sigma[k] * sigma[k]
-        gain, root = p / s, 1.0 / np.sqrt(s)
-        logs += np.log(s)
-        for m in range(sides):
-            e = values[m, k] - offset[m]
-            offset[m] += gain * e
-            values[m, k] = e * root
-        p *= 1.0 - gain
-    return logs
-
-
-@compiled
 def step(pose: Array, increment: Array) -> Array:
     """A pose, moved by an increment (x, y, theta) in its own frame."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
@@ -144,6 +123,57 @@ def product(a: Array, b: Array, out: Array) -> None:
     for i in range(3):
         for j in range(3):
             out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+
+
+@compiled
+def whiten_offset(t: Array, sigma: Array, density: float, sway: float, pace: float, values: Array) -> float:
+    """Innovations of readings (M, N), in place, whose offset walks from 0 at t = 0 and sways; sum of log variances.
+
+    sigma (N,): white noise; density: of the walk, per root of a second. sway: standard deviation of the rate of a
+    swing of angular frequency `pace` [rad/s], damped by DAMPED, under white noise: an angle that is known, but for
+    rounding. As `whiten_poses`, over standard deviations.
+    """
+    sides, n = values.shape
+    state = np.zeros((3, sides))  # walk, angle, its rate
+    p, f, left, gain = np.zeros((3, 3)), np.eye(3), np.zeros((3, 3)), np.empty(3)
+    rest0, rest1 = (sway / pace) ** 2 if sway > 0.0 else 0.0, sway * sway
+    p[1, 1], p[2, 2] = rest0, rest1
+    last, logs = 0.0, 0.0
+    fade, turn = DAMPED * pace, pace * np.sqrt(1.0 - DAMPED * DAMPED)
+    for k in range(n):
+        h = max(t[k] - last, 0.0)
+        last = max(t[k], last)
+        if sway > 0.0:
+            decay, c, s = np.exp(-fade * h), np.cos(turn * h), np.sin(turn * h)
+            f[1, 1], f[1, 2] = decay * (c + fade / turn * s), decay * s / turn
+            f[2, 1], f[2, 2] = -decay * pace * pace / turn * s, decay * (c - fade / turn * s)
+            for m in range(sides):
+                angle, rate = state[1, m], state[2, m]
+                state[1, m] = f[1, 1] * angle + f[1, 2] * rate
+                state[2, m] = f[2, 1] * angle + f[2, 2] * rate
+            p[1, 1] -= rest0  # the excess over what is at rest fades, the rest is renewed
+            p[2, 2] -= rest1
+            product(f, p, left)
+            for a in range(3):
+                for b in range(3):
+                    p[a, b] = left[a, 0] * f[b, 0] + left[a, 1] * f[b, 1] + left[a, 2] * f[b, 2]
+            p[1, 1] += rest0
+            p[2, 2] += rest1
+        p[0, 0] += density * density * h
+        spread = p[0, 0] + 2.0 * p[0, 2] + p[2, 2] + sigma[k] * sigma[k]
+        for a in range(3):
+            gain[a] = (p[a, 0] + p[a, 2]) / spread
+        root = 1.0 / np.sqrt(spread)
+        logs += np.log(spread)
+        for m in range(sides):
+            e = values[m, k] - state[0, m] - state[2, m]
+            for a in range(3):
+                state[a, m] += gain[a] * e
+            values[m, k] = e * root
+        for a in range(3):
+            for b in range(3):
+                p[a, b] -= gain[a] * gain[b] * spread
+    return logs
 
 
 @compiled

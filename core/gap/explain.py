@@ -15,7 +15,7 @@ from core.gap.discrepancy import driven
 from core.gap.fit import flaws_of, refit, trifles_of, with_trifles
 from core.gap.floor import Floor
 from core.gap.linear import Model, Problem, linearise, with_floor
-from core.gap.scatter import DENSITIES, Scatter, block_means, gyro_left, gyro_walk, scatters, walk_costs
+from core.gap.scatter import DENSITIES, Scatter, drift_costs, gyro_left, gyro_walk, scatters
 from core.gap.screen import gains_of
 from core.gap.selection import WORTH, Found, search
 from core.gap.smoothing import smooth
@@ -148,7 +148,7 @@ def recorded(world: World, wheels: Found) -> World:
         angle = predicted[name][0, world.keep(name)]
         angle = angle + smooth(world.readings[name] - angle, wheels.problem.floor.sigma[name])
         speeds.append(radius * np.diff(angle) / np.diff(t))
-    return world.with_wheels(0.5 * (t[1:] + t[:-1]), *speeds)
+    return world.with_wheels(0.5 * (t[1:] + t[:-1]), speeds[0], speeds[1], rough=True)
 
 
 def _smooth_wheels(world: World) -> World:
@@ -163,7 +163,7 @@ def _smooth_wheels(world: World) -> World:
     for side in (wheels.left[known], wheels.right[known]):
         angle = smooth(np.asarray(side, dtype=np.float64), 2.0 * np.pi / robot.ticks_per_rev / np.sqrt(12.0))
         speeds.append((robot.wheel_radius or 0.0) * np.diff(angle) / np.diff(t))
-    return world.with_wheels(0.5 * (t[1:] + t[:-1]), *speeds)
+    return world.with_wheels(0.5 * (t[1:] + t[:-1]), speeds[0], speeds[1], rough=True)
 
 
 def _missed(problem: Problem, wheels: Found, drive: Sequence[Candidate], ticks: Sequence[Candidate]) -> Found | None:
@@ -238,6 +238,4 @@ def _walking(body: Found, left: Rest) -> Scatter | None:
 
 def _steady_cost(problem: Problem, residuals: Sequence[tuple[Array, Array]]) -> float:
     """-2 log likelihood of gyro residuals without any walk, on the scale of `walk_costs`."""
-    sigma = problem.floor.sigma["imu.gz"]
-    parts = [block_means(t, values) for t, values in residuals]
-    return sum(float(walk_costs(t, mean, sigma**2 / n, DENSITIES[:1])[0]) for t, mean, n in parts)
+    return sum(float(drift_costs(problem, t, values, DENSITIES[:1])[0]) for t, values in residuals)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -45,6 +45,7 @@ class Floor:
 
     vibration: k of sd² = sigma² + (k*v)² for both accelerometer axes. walk: how the pose strays from the model, in rad
     of heading per root of m driven. gyro_walk: density of the gyro's bias walk, where one was found [rad/s/√s].
+    sway: of IMU axes, (sd, angular frequency [rad/s]) of what the smoothing of wheel angles leaves (`sway.py`).
     """
 
     sigma: Mapping[str, float]
@@ -54,6 +55,7 @@ class Floor:
     vibration_sd: float = 0.0
     walk: float = 1e-5
     gyro_walk: float = 0.0
+    sway: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 def wrap(values: Array) -> Array:
@@ -83,10 +85,15 @@ def stated(run: Run) -> dict[str, float]:
 
 
 def third_differences(world: World, name: str, residual: Array) -> Array:
-    """Third differences in units of the noise; of ranges, each beacon's own; of a saturated gyro, the rest."""
+    """Third differences in units of the noise; of ranges, each beacon's own; of a saturated gyro, the rest.
+
+    Where smoothed wheels drive the body, the prediction is rougher than the motion: then of the IMU's readings alone.
+    """
     if name in ("imu.ax", "imu.ay"):
         calm = _calm(world, name, residual)
-        return np.diff(residual, 3)[calm] / THIRD
+        return np.diff(world.readings[name] if world.rough else residual, 3)[calm] / THIRD
+    if world.rough and name == "imu.gz":
+        residual = world.readings[name]
     if name == "imu.gz":
         size = np.abs(world.readings[name])
         stuck = size >= size.max(initial=0.0) * (1.0 - 1e-9)

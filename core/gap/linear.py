@@ -19,6 +19,7 @@ from core.gap.candidates import STEPS, Candidate, bounds, free_of
 from core.gap.floor import Floor, measure
 from core.gap.nuisance import SPREAD as SHARE
 from core.gap.nuisance import Nuisances, limits
+from core.gap.sway import sway_of
 from core.gap.whiten import (
     Events,
     all_jumps,
@@ -140,6 +141,8 @@ def with_floor(problem: Problem, model: EffectSet) -> Problem:
         walk = min(walk, FIRST)  # a strong walk would take for chance what an effect does to the path
     kept = problem.floor.gyro_walk
     floor = dataclasses.replace(floor, walk=walk, gyro_walk=kept)
+    swayed = [(world, body, residual) for (world, body), residual in zip(parts, residuals, strict=True)]
+    floor = dataclasses.replace(floor, sway=sway_of(swayed, floor))
     return dataclasses.replace(problem, floor=floor, nuisances=Nuisances())
 
 

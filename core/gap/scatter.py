@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from core.gap.fit import Fit, without
+from core.gap.discrepancy import flaws
+from core.gap.fit import Fit, with_trifles, without
 from core.gap.floor import Floor
-from core.gap.linear import Problem, whitened
+from core.gap.linear import Problem, White, whitened
 from core.gap.world import World
 from core.robot import EffectSet
 
@@ -119,13 +120,61 @@ def walk_costs(t: Array, mean: Array, variance: Array, densities: Array = DENSIT
     return cost
 
 
+def drift_costs(problem: Problem, t: Array, values: Array, densities: Array = DENSITIES) -> Array:
+    """(K,) -2 log likelihood of what is left of a gyro [rad/s] under a bias that walks from 0, for each density.
+
+    By means over SECOND; of a body that smoothed wheels drive by the angle that they add up to, which sways and stays.
+    """
+    at, mean, count = block_means(t, values)
+    variance = problem.floor.sigma["imu.gz"] ** 2 / count
+    if "imu.gz" not in problem.floor.sway:
+        return walk_costs(at, mean, variance, densities)
+    sway, pace = problem.floor.sway["imu.gz"]
+    swing = (sway / pace) ** 2 + max(rounded_turn(world) for world in problem.worlds) ** 2
+    return angle_costs(at, np.cumsum(mean) * SECOND, variance * SECOND**2, swing, densities)
+
+
+def rounded_turn(world: World) -> float:
+    """What rounding makes of the body's heading by its wheels [rad]: of a robot at rest it stays as it is."""
+    robot = world.run.meta.robot
+    if not robot.ticks_per_rev or not robot.track_width:
+        return 0.0
+    tick = 2.0 * np.pi / robot.ticks_per_rev * (robot.wheel_radius or 0.0)
+    return float(tick / np.sqrt(6.0) / robot.track_width)
+
+
+def angle_costs(t: Array, angle: Array, more: Array, swing: float, densities: Array) -> Array:
+    """(K,) the same by angles [rad] at every block's end: `more` (N,) is what white noise adds in a block, `swing` the
+    variance of what is off at an instant and does not last.
+    """
+    k = len(densities)
+    bias, turned, cost = np.zeros(k), np.zeros(k), np.zeros(k)
+    pbb, pbt, ptt, last = np.zeros(k), np.zeros(k), np.zeros(k), t[0] - SECOND if len(t) else 0.0
+    pbb = densities**2 * max(last, 0.0)
+    for at, value, white in zip(t, angle, more, strict=True):
+        h, last = at - last, at
+        turned = turned + SECOND * bias
+        ptt = ptt + 2.0 * SECOND * pbt + SECOND**2 * pbb + white + densities**2 * SECOND**3 / 3.0
+        pbt = pbt + SECOND * pbb + 0.5 * densities**2 * SECOND**2
+        pbb = pbb + densities**2 * h
+        s = ptt + swing
+        e = value - turned
+        cost += np.log(s) + np.minimum(e * e / s, CAPPED)
+        gain_b, gain_t = pbt / s, ptt / s
+        bias, turned = bias + gain_b * e, turned + gain_t * e
+        pbb, pbt, ptt = pbb - gain_b * pbt, pbt * (1.0 - gain_t), ptt * (1.0 - gain_t)
+    return cost
+
+
+CAPPED = 25.0
+"""No squared innovation counts for more: an edge is no walk."""
+
+
 def gyro_walk(problem: Problem, residuals: Sequence[tuple[Array, Array]]) -> tuple[Scatter | None, float]:
     """`gyro_walk` in gyro residuals (t, rad/s) per run, and the drop of -2 log likelihood against no walk."""
-    sigma = problem.floor.sigma["imu.gz"]
     total = np.zeros(len(DENSITIES))
     for t, values in residuals:
-        at, mean, count = block_means(t, values)
-        total += walk_costs(at, mean, sigma**2 / count)
+        total += drift_costs(problem, t, values)
     best = int(np.argmin(total))
     gain = float(total[0] - total[best])
     if best == 0 or gain < 12.0:
@@ -139,20 +188,37 @@ def gyro_walk(problem: Problem, residuals: Sequence[tuple[Array, Array]]) -> tup
 
 def gyro_left(problem: Problem, fit: Fit) -> list[tuple[Array, Array]]:
     """Stamps and what a fit leaves of the gyro [rad/s], per run."""
-    plain = dataclasses.replace(problem, floor=dataclasses.replace(problem.floor, gyro_walk=0.0))
-    white, _ = whitened(plain, fit.model, (), "body")
-    if problem.floor.gyro_walk == 0.0:
-        white = without(white, problem.nuisances, fit.trifles)
+    plain = dataclasses.replace(problem, floor=dataclasses.replace(problem.floor, gyro_walk=0.0, sway={}))
+    if problem.floor.sway:
+        white = _plainly(plain, fit)
+    else:
+        white, _ = whitened(plain, fit.model, (), "body")
+        white = without(white, problem.nuisances, fit.trifles) if problem.floor.gyro_walk == 0.0 else white
     sigma = problem.floor.sigma["imu.gz"]
     limit = float(fit.model.get("gyro_clip", {}).get("limit", np.inf)) - 4.0 * sigma
     out = []
     for world, one in zip(problem.worlds, white, strict=True):
         if "imu.gz" in one:  # at its clip a gyro's noise has one side: that is no offset
             free = np.abs(world.readings["imu.gz"]) < limit
-            free &= np.abs(one["imu.gz"].residual) < FAR  # an edge that is modelled a little late is no walk
-            calm = free & _steady(problem, fit, world)
-            free = calm if calm.sum() > STEADY * free.sum() else free
+            if not world.rough:  # an angle that is off by its rounding comes back within a block: keep blocks whole
+                free &= np.abs(one["imu.gz"].residual) < FAR  # an edge that is modelled a little late is no walk
+                calm = free & _steady(problem, fit, world)
+                free = calm if calm.sum() > STEADY * free.sum() else free
             out.append((one["imu.gz"].t[free], one["imu.gz"].residual[free] * sigma))
+    return out
+
+
+def _plainly(plain: Problem, fit: Fit) -> list[dict[str, White]]:
+    """Residuals less what the fit's nuisances do, over white noise, where the fit itself holds them for swaying."""
+    white, _ = whitened(plain, with_trifles(plain, fit), (), "body")
+    keys, columns = flaws(plain, fit.model, "body")
+    place = {key: i for i, key in enumerate(plain.nuisances.keys)}
+    size = np.array([fit.trifles[place[key]] if key in place else 0.0 for key in keys])
+    out = []
+    for one, flawed in zip(white, columns, strict=True):
+        gz = flawed.get("imu.gz")
+        less = one["imu.gz"].residual - (size[gz.index] @ gz.columns if gz is not None else 0.0)
+        out.append({"imu.gz": dataclasses.replace(one["imu.gz"], residual=less)} if "imu.gz" in one else {})
     return out
 
 

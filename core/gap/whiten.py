@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from core.gap._pose_numba import whiten_poses, whiten_walk
+from core.gap._pose_numba import whiten_offset, whiten_poses
 from core.gap.floor import Floor, wrap
 from core.gap.reference import WINDOW
 from core.gap.world import POSES, WHEELS, World
@@ -26,6 +26,7 @@ FREE_SD = np.array([1e3, 1e3, 10.0])
 """How well the start pose is known, where run.json gives one; where it does not [m, m, rad]."""
 TIMING = 5e-4
 """Instants are known to half the tolerance of the IMU's clock [s]: edges of jumps count for no more than that."""
+STILL = (0.0, 1.0)
 OUTLIER = 5.0
 """A fix or range off by more than this many sigma is left out of the pose's filter."""
 
@@ -87,9 +88,11 @@ def imu_sigma(world: World, name: str, body: Outputs, floor: Floor) -> Array:
 
 def white_imu(world: World, name: str, values: Array, sigma: Array, floor: Floor) -> Array:
     """(M, N) residual and columns of one IMU axis; sigma (N,): its noise."""
-    if name == "imu.gz" and floor.gyro_walk > 0.0:
+    walk = floor.gyro_walk if name == "imu.gz" else 0.0
+    sway, pace = floor.sway.get(name, STILL) if world.rough else STILL
+    if walk > 0.0 or sway > 0.0:
         rows = np.array(values)
-        whiten_walk(world.times[name], sigma, floor.gyro_walk, rows)
+        whiten_offset(world.times[name], sigma, walk, sway, pace, rows)
         return rows
     return values / sigma
 

@@ -61,7 +61,8 @@ class World:
     instants before restarts; `at` says where a channel's stamps lie in it, `kept` which rows of a stream are known,
     `order` how readings of poses, channel after channel, then restarts follow each other in time. `drive`: the drive as
     the encoders show it, used for the body; None where the
-    recorded wheels drive it (then `body_inputs` holds their rim speeds).
+    recorded wheels drive it (then `body_inputs` holds their rim speeds). rough: driven by what smoothing makes of
+    rounded angles.
     """
 
     run: Run
@@ -76,6 +77,7 @@ class World:
     kept: Mapping[str, Indices | slice]
     order: Indices
     drive: EffectSet | None = None
+    rough: bool = False
     seen: Mapping[str, Mapping[str, float | str]] = dataclasses.field(default_factory=dict)
 
     @property
@@ -133,21 +135,22 @@ class World:
         """Rows of a stream whose reading is known."""
         return self.kept[name]
 
-    def with_wheels(self, t: Array, left: Array, right: Array) -> World:
+    def with_wheels(self, t: Array, left: Array, right: Array, rough: bool = False) -> World:
         """Driven by these rim speeds [m/s], linear between the stamps, in place of commands."""
-        return dataclasses.replace(self, body_inputs=with_drive(self.body_inputs, t, left, right), drive=None, seen={})
+        inputs = with_drive(self.body_inputs, t, left, right)
+        return dataclasses.replace(self, body_inputs=inputs, drive=None, rough=rough, seen={})
 
     def driven_as(self, other: World) -> World:
         """Driven as another world of the same run is."""
         lead = other.body_inputs
         inputs = self.body_inputs._replace(times=lead.times, left=lead.left, right=lead.right, begin=lead.begin)
-        return dataclasses.replace(self, body_inputs=inputs, drive=other.drive, seen=other.seen)
+        return dataclasses.replace(self, body_inputs=inputs, drive=other.drive, rough=other.rough, seen=other.seen)
 
     def with_drive(self, effects: EffectSet) -> World:
         """Driven by commands through this drive; missed ticks among the effects are what encoders hide."""
         seen = {name: values for name, values in effects.items() if name == "missed_ticks"}
         merged = {**drive_effects(self.run.meta.effects), **drive_effects(effects)}
-        return dataclasses.replace(self, drive=merged, seen=seen)
+        return dataclasses.replace(self, drive=merged, rough=False, seen=seen)
 
 
 def make_world(run: Run, restarts: Array) -> World:
@@ -181,6 +184,7 @@ def make_world(run: Run, restarts: Array) -> World:
         body_inputs=inputs,
         wheel_inputs=wheel_inputs,
         drive=drive_effects(run.meta.effects) if run.commands is not None else None,
+        rough=run.commands is None and run.wheels is not None,
     )
 
 

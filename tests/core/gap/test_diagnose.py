@@ -10,8 +10,10 @@ import pytest
 
 from core.errors import MissingStreamError, NotEnoughDataError, ParameterError
 from core.gap import Diagnosis, as_json, diagnose
+from core.gap._pose_numba import whiten_offset
 from core.gap.floor import measure
 from core.gap.reference import restarts_of
+from core.gap.scatter import angle_costs
 from core.gap.smoothing import smooth
 from core.gap.whiten import residuals_of
 from core.gap.world import make_world
@@ -97,7 +99,8 @@ def test_a_sheet_that_is_wrong_for_all_sensors_is_no_cause() -> None:
 
 
 def test_json_is_gap_1_without_nan() -> None:
-    out = as_json(diagnose([made({"gyro_bias": {"bias": 0.004}})]))
+    slow = {"gyro_bias": {"bias": 0.004}}  # without commands the drive is smoothed from encoders: its flaws are no walk
+    out = as_json(diagnose([made(slow, commands=False)]))
     text = json.dumps(out, allow_nan=False)
     assert json.loads(text)["schema"] == "gap/1"
     assert [one["effect"] for one in out["causes"] if one["probability"] > 0.5] == ["gyro_bias"]
@@ -137,6 +140,27 @@ def test_floor_is_the_sensors_own_noise_whatever_effect_acts() -> None:
     for name in ("imu.gz", "imu.ax", "beacon.theta", "ranges.range"):
         assert floor.sigma[name] == pytest.approx(floor.sheet[name], rel=0.12)
     assert floor.sigma["truth.x"] == pytest.approx(3e-4, rel=0.1)
+
+
+def test_what_smoothed_encoders_leave_is_whitened_and_a_walk_beside_it_is_not() -> None:
+    rng, n, rate, sway, pace = np.random.default_rng(3), 6000, 100.0, 4e-3, 4.0
+    push = np.sqrt(4.0 * 0.7 * pace * sway**2 * rate) * rng.standard_normal(n)
+    angle, speed, sways = 0.0, 0.0, np.zeros(n)
+    for k in range(n):
+        speed += (push[k] - 1.4 * pace * speed - pace**2 * angle) / rate
+        angle += speed / rate
+        sways[k] = speed
+    values = sways + 1e-3 * rng.standard_normal(n)
+    t, white = np.arange(n) / rate, values[None, :].copy()
+    whiten_offset(t, np.full(n, 1e-3), 0.0, sway, pace, white)
+    assert np.mean(white**2) == pytest.approx(1.0, abs=0.1)
+    assert abs(np.mean(white[0, 1:] * white[0, :-1])) < 0.08
+    means, sums = values.reshape(-1, 100).mean(axis=1), np.full(n // 100, 1e-6 / 100)
+    walks = np.array([0.0, 2e-4, 5e-4, 1e-3])
+    at = np.arange(n // 100, dtype=np.float64) + 0.5
+    assert np.argmin(angle_costs(at, np.cumsum(means), sums, (sway / pace) ** 2, walks)) == 0
+    walk = np.cumsum(rng.standard_normal(n // 100)) * 5e-4
+    assert walks[np.argmin(angle_costs(at, np.cumsum(means + walk), sums, (sway / pace) ** 2, walks))] == 5e-4
 
 
 def test_smoothing_keeps_motion_and_takes_noise() -> None:
