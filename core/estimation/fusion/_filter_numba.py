@@ -6,12 +6,12 @@ keeps what the smoother needs to walk back.
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numba import njit
 
 from core.estimation.fusion._beacon_numba import fix, range_to
@@ -47,7 +47,6 @@ from core.estimation.fusion.layout import (
     REFUSED_REST,
     REST,
     RESTING,
-    ROOM,
     SILENCE,
     SLIPPING,
     SPED,
@@ -72,6 +71,7 @@ from core.estimation.fusion.layout import (
     X,
     Y,
 )  # fmt: skip
+from core.kernels import uncounted
 
 WASH, RECENT = 0.3, 1.0  # s: memory of a change of speed; for how long the largest one is kept
 UNTICKED = 0.4  # s for which a robot that is moving off may turn before a wheel's counter shows it
@@ -148,7 +148,7 @@ def _move(t: float, kind: int, a: Any, flags: int, x: Any, P: Any, n: int, mem: 
     if dt <= 0.0:  # what completes a step that another reading of this stamp has taken goes into the next one
         mem[TURNED] -= raw
         mem[SPED] -= dv
-        f[0] = np.nan
+        f[0] = math.nan
         return
     mem[T] = t
     if c[HAS_ACCEL] != 0.0:
@@ -193,18 +193,18 @@ def _write(x: Any, P: Any, n: int, row: int, at: int, out: Any, rec: Any) -> Non
 
 def _entry_point(digest: int) -> Callable[..., int]:
     """The compiled function that Python calls. numba's cache sees a change of this file and of what it closes over, but
-    not of the files that it calls into: so it closes over a digest of those."""
+    not of the files that it calls into: so it closes over a digest of those.
 
-    @njit(cache=True, nogil=True, error_model="numpy")
+    Arrays are not counted (`kernels`), so it makes none: the scratch is the caller's.
+    """
+
+    @uncounted(cache=True, nogil=True, error_model="numpy")
     def run_filter(
-        begin: int, end: int, row: int, events: Any, x: Any, square: Any, n: int, mem: Any, past: Any, c: Any, out: Any,
-        rec: Any, record: bool,
+        begin: int, end: int, row: int, events: Any, x: Any, P: Any, n: int, mem: Any, past: Any, c: Any, scratch: Any,
+        out: Any, rec: Any, record: bool,
     ) -> int:  # fmt: skip
-        work, index, parts = np.zeros((9, N)), np.zeros((3, ROOM + 1), np.int64), np.zeros(PARTS + 1)
-        P, row0 = (
-            square.reshape(N * N),
-            row,
-        )  # rows at constant distances: the compiler can see that they do not overlap
+        work, index, parts = scratch
+        row0 = row
         for e in range(begin, end):
             t, a, kind, flags, k = events.t[e], events.data[e], events.kind[e], events.flags[e], -1
             if flags & STRANGE:
@@ -251,9 +251,9 @@ FILES = ("layout.py", "_model_numba.py", "_wheels_numba.py", "_beacon_numba.py")
 DIGEST = zlib.crc32(b"".join(Path(__file__).with_name(name).read_bytes() for name in FILES)) | 1
 
 run_filter = _entry_point(DIGEST)
-"""run_filter(begin, end, row, events, x, P, n, mem, past, c, out, rec, record) -> next row: walk over some events.
+"""run_filter(begin, end, row, events, x, P, n, mem, past, c, scratch, out, rec, record) -> next row.
 
-events, c, out, rec: `Readings`, an array of `Constants`, `Tracks`, `Records`. Changed in place: x (N,), P (N, N), mem
-(MEMORY,), past (PAST, SEEN). In `out.nis`: WHEEL distance, turn; FIX, RANGE joint value, log of the innovation's
-determinant.
+Walks over some events. events, c, scratch, out, rec: `Readings`, an array of `Constants`, `scratch()`, `Tracks`,
+`Records`. Changed in place: x (N,), P (N N,) by rows, mem (MEMORY,), past (PAST, SEEN). In `out.nis`: WHEEL distance,
+turn; FIX, RANGE joint value, log of the innovation's determinant.
 """

@@ -328,9 +328,28 @@ def covariance_with(P: Any, n: int, work: Any, index: Any, row: int, to: int) ->
 
 
 @njit(error_model="numpy", forceinline=True)
+def _correct_few(x: Any, P: Any, work: Any, row: int, nu: float, inverse: float) -> None:
+    """The same for a state without wheels, written out: P h in registers, as arrays might overlap."""
+    a, b, c, d, e = work[row, 0], work[row, 1], work[row, 2], work[row, 3], work[row, 4]
+    for i in range(S):
+        gain = work[row, i] * inverse
+        o = i * N
+        x[i] += gain * nu
+        P[o] -= gain * a
+        P[o + 1] -= gain * b
+        P[o + 2] -= gain * c
+        P[o + 3] -= gain * d
+        P[o + 4] -= gain * e
+        P[o + i] = max(P[o + i], 0.0)
+
+
+@njit(error_model="numpy", forceinline=True)
 def correct(x: Any, P: Any, n: int, work: Any, row: int, nu: float, variance: float) -> None:
     """Update by one scalar reading: work[row] = P h, innovation nu and its variance."""
     inverse = 1.0 / variance
+    if n <= S:
+        _correct_few(x, P, work, row, nu, inverse)
+        return
     for i in range(n):
         gain = work[row, i] * inverse
         x[i] += gain * nu

@@ -13,7 +13,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numba import njit
 
 from core.estimation.fusion._model_numba import BLOCK
@@ -61,6 +60,7 @@ from core.estimation.fusion.layout import (
     X,
     Y,
 )  # fmt: skip
+from core.kernels import uncounted
 
 SOURCES = (TH, V, B, KD, KE, KB, KG, BA)  # states on which others depend
 
@@ -259,12 +259,11 @@ def _unstep(lam: Any, L: Any, n: int, f: Any, gyro: bool) -> None:
 def _entry_point(digest: int) -> Callable[..., None]:
     """As in `_filter_numba`."""
 
-    @njit(cache=True, nogil=True, error_model="numpy")
+    @uncounted(cache=True, nogil=True, error_model="numpy")
     def walk_back(
-        begin: int, end: int, row: int, row0: int, kind: Any, lam: Any, square: Any, n: int, gyro: bool, offsets: int,
-        rec: Any, out: Any, shock: Any,
+        begin: int, end: int, row: int, row0: int, kind: Any, lam: Any, L: Any, n: int, gyro: bool, offsets: int,
+        rec: Any, out: Any, shock: Any, work: Any,
     ) -> None:  # fmt: skip
-        work, L = np.zeros(4 * N), square.reshape(N * N)
         for e in range(end - 1, begin - 1, -1):
             k = e - begin
             if kind[e] == OUT:
@@ -286,5 +285,5 @@ def _entry_point(digest: int) -> Callable[..., None]:
 _FILES = ("layout.py", "_model_numba.py")
 _DIGEST = zlib.crc32(b"".join(Path(__file__).with_name(name).read_bytes() for name in _FILES)) | 1
 walk_back = _entry_point(_DIGEST)
-"""walk_back(begin, end, row, row0, kind, lam (N,), L (N, N), n, gyro, offsets, rec, out, shock (M, 3)): from event
-`end` back to `begin`; `row` is one past the last row of the stretch, `row0` its first."""
+"""walk_back(begin, end, row, row0, kind, lam (N,), L (N N,), n, gyro, offsets, rec, out, shock (M, 3), work (4 N,)):
+from event `end` back to `begin`; `row` is one past the last row of the stretch, `row0` its first."""

@@ -147,6 +147,11 @@ def records(events: int, rows: int) -> Records:
     )  # fmt: skip
 
 
+def scratch() -> tuple[Any, Any, Any]:
+    """What the compiled filter computes in: rows of readings, their states, the parts of a step's Jacobian."""
+    return np.zeros((9, N)), np.zeros((3, ROOM + 1), np.int64), np.zeros(PARTS + 1)
+
+
 class Tracks(NamedTuple):
     """What the filter writes: nis, status (E, 2) per event; rows (M, 5) of x, y, theta, bias and its variance, and
     covariance (M, 3, 3) per OUT event; score (E, 2), signed innovations over their own sd: WHEEL distance and turn, FIX

@@ -59,6 +59,7 @@ from core.estimation.fusion.layout import (
     Tracks,
     V,
     records,
+    scratch,
 )  # fmt: skip
 from core.estimation.fusion.start import Start
 from core.estimation.odometry import chi2_gate, longest_hold
@@ -128,8 +129,8 @@ class Problem:
         from core.estimation.fusion._filter_numba import run_filter
 
         state.row = run_filter(
-            begin, end, state.row, events.readings, state.x, state.P, self.n, state.mem, state.past, self.constants,
-            out, rec if rec is not None else _NO_RECORDS, rec is not None,
+            begin, end, state.row, events.readings, state.x, state.P.reshape(N * N), self.n, state.mem, state.past,
+            self.constants, scratch(), out, rec if rec is not None else _NO_RECORDS, rec is not None,
         )  # fmt: skip
 
 
@@ -358,7 +359,7 @@ def _both_ways(p: Problem, events: Events) -> tuple[Walk, Walk, Array]:
         saved.append(state.copy())
         p.step(events, cut, min(cut + STRETCH, end), state, out)
     forward = _walked(out._replace(rows=out.rows.copy(), covariance=out.covariance.copy()), state)
-    lam, L, gyro = np.zeros(N), np.zeros((N, N)), bool(p.constants[HAS_GYRO])
+    lam, L, work, gyro = np.zeros(N), np.zeros(N * N), np.zeros(4 * N), bool(p.constants[HAS_GYRO])
     shock = np.zeros((len(events.out), 3))
     recs = (records(STRETCH, STRETCH), records(STRETCH, STRETCH))
     rows = [begun.row for begun in saved] + [len(events.out)]
@@ -376,6 +377,6 @@ def _both_ways(p: Problem, events: Events) -> tuple[Walk, Walk, Array]:
             cut, last = cuts[k], min(cuts[k] + STRETCH, end)
             walk_back(
                 cut, last, rows[k + 1], rows[k], events.kind, lam, L, p.n, gyro, events.first_offset, recs[k % 2], out,
-                shock,
+                shock, work,
             )  # fmt: skip
     return forward, _walked(out, state), shock
