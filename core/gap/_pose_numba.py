@@ -18,22 +18,31 @@ compiled = njit(cache=True, nogil=True, error_model="numpy")
 TURN_WAY = 0.15
 """A turn of one radian lets the pose walk as far as this way driven [m/rad]: half a small robot's track."""
 SIDE = 0.3
-"""Walk of the position [m] per walk of the heading [rad]."""
+"""Walk of the position [m] per walk of the heading [rad], where readings do not tell it."""
 DAMPED = 0.7
 """Damping of what a smoothed curve through rounded angles is off by: hardly a swing, and nothing that lasts."""
 
 
 @compiled
 def whiten_poses(
-    pose: Array, rows: Array, variance: Array, restart: Flags, jumps: Array, start: Array, walk: float, readings: Array
+    pose: Array,
+    rows: Array,
+    variance: Array,
+    restart: Flags,
+    jumps: Array,
+    start: Array,
+    walk: float,
+    side: float,
+    readings: Array,
 ) -> Array:
     """Innovations of a Kalman filter, in place, for many right-hand sides at once.
 
     pose (E, 3): predicted pose at each event, for a restart the old stretch's end; rows (E, 3): a reading's derivative
     by d, variance (E,): its noise; restart (E,): whether the event is one, then rows holds the new stretch's start.
     jumps (K, 3, M): what d gains at each restart; start (3, 3): covariance of d at first. walk: the heading's, in
-    rad per root of m driven. readings (E, M): residual and columns of Jacobian; becomes innovations over their
-    standard deviation, zero at restarts and where the variance is infinite. Returns (E,) log variances (0 there).
+    rad per root of m driven; side: the position's, in m per rad of that. readings (E, M): residual and columns of
+    Jacobian; becomes innovations over their standard deviation, zero at restarts and where the variance is infinite.
+    Returns (E,) log variances (0 there).
     """
     events, sides = readings.shape
     d = np.zeros((3, sides))
@@ -54,7 +63,7 @@ def whiten_poses(
         p01 = p[0, 1] - dy * p[1, 2] + dx * c0
         p11 = p[1, 1] + dx * (p[1, 2] + c1)
         q = walk * walk * way
-        p[0, 0], p[1, 1], p[2, 2] = p00 + SIDE * SIDE * q, p11 + SIDE * SIDE * q, c2 + q
+        p[0, 0], p[1, 1], p[2, 2] = p00 + side * side * q, p11 + side * side * q, c2 + q
         p[0, 1], p[1, 0], p[0, 2], p[2, 0], p[1, 2], p[2, 1] = p01, p01, c0, c0, c1, c1
         if restart[i]:
             for m in range(sides):

@@ -17,6 +17,7 @@ from core.gap.beside import against
 from core.gap.checks import check_runs, check_tolerances, simulator_of
 from core.gap.conclude import conclude
 from core.gap.explain import Progress, silent
+from core.gap.faced import faced
 from core.gap.pace import Pace
 from core.gap.reference import restarts_of
 from core.gap.rolling import rolling
@@ -49,6 +50,7 @@ def diagnose(
     progress = Pace(progress)
     progress(0.0, "aligning")
     every, told = aligned([*runs, *held_out])
+    every, more = faced(every)
     runs, held_out, known = _seen(every[: len(runs)], every[len(runs) :], simulator, config.seed, progress)
     one = searched(runs, known, config.window, progress)
     progress(0.7, "scoring on what took no part")
@@ -56,7 +58,7 @@ def diagnose(
     part = None if kept else on_a_part(runs, one.found, one.tried, known, config, progress)
     progress(0.9, "telling")
     out = conclude(one.found, one.worlds, kept, one.reach, known, config, part)
-    return dataclasses.replace(out, notes=(*told, *out.notes), runtime_s=time.perf_counter() - began)
+    return dataclasses.replace(out, notes=(*told, *more, *out.notes), runtime_s=time.perf_counter() - began)
 
 
 def _seen(

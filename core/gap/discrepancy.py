@@ -122,7 +122,8 @@ def _of_body(problem: Problem, world: World, model: EffectSet) -> dict[str, Whit
         return out
     moved = [displaced(world, body, motion) for motion in motions]
     values = {name: np.array([seen(world, body, name, far) for far, _ in moved]) for name in events.names}
-    posed, _ = white_poses(events, values, np.array([-jump for _, jump in moved]), problem.floor.walk)
+    walk, side = problem.floor.walk, problem.floor.side
+    posed, _ = white_poses(events, values, np.array([-jump for _, jump in moved]), walk, side)
     for name in events.names:
         t = world.times[name]
         out[name] = White(t, np.zeros(len(t)), posed[name], index)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from core.gap._pose_numba import SIDE
 from core.gap.world import POSES, WHEELS, World
 from core.run import Run
 
@@ -44,8 +45,9 @@ class Floor:
     """White noise per channel, one sigma per reading; `sd` is its own relative uncertainty; `sheet` what is stated.
 
     vibration: k of sd² = sigma² + (k*v)² for both accelerometer axes. walk: how the pose strays from the model, in rad
-    of heading per root of m driven. gyro_walk: density of the gyro's bias walk, where one was found [rad/s/√s].
-    sway: of IMU axes, (sd, angular frequency [rad/s]) of what the smoothing of wheel angles leaves (`sway.py`).
+    of heading per root of m driven; side: in m of position per rad of that. gyro_walk: density of the gyro's bias walk,
+    where one was found [rad/s/√s]. sway: of IMU axes, (sd, angular frequency [rad/s]) of what the smoothing of wheel
+    angles leaves (`sway.py`).
     """
 
     sigma: Mapping[str, float]
@@ -54,6 +56,7 @@ class Floor:
     vibration: float = 0.0
     vibration_sd: float = 0.0
     walk: float = 1e-5
+    side: float = SIDE
     gyro_walk: float = 0.0
     sway: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 

@@ -282,7 +282,8 @@ def _body_rows(problem: Problem, world: World, model: EffectSet, sizes: Sizes) -
                 values[name].append(seen(world, body, name, moved))
     if not stacked:
         return rows
-    posed, _ = white_poses(events, {n: np.array(v) for n, v in values.items()}, np.array(jumps), problem.floor.walk)
+    floor = problem.floor
+    posed, _ = white_poses(events, {n: np.array(v) for n, v in values.items()}, np.array(jumps), floor.walk, floor.side)
     for name in events.names:
         rows[name] += list(zip(stacked, posed[name], strict=True))
     return rows

@@ -136,11 +136,11 @@ def with_floor(problem: Problem, model: EffectSet) -> Problem:
         found = events_of(world, body, floor, residual)
         if found is not None:
             events.append((found, residual, jumps_of(world, body)))
-    walk = best_walk(events) if events else floor.walk
+    walk, side = best_walk(events) if events else (floor.walk, floor.side)
     if not model and any(world.run.truth is None for world in problem.worlds):
         walk = min(walk, FIRST)  # a strong walk would take for chance what an effect does to the path
     kept = problem.floor.gyro_walk
-    floor = dataclasses.replace(floor, walk=walk, gyro_walk=kept)
+    floor = dataclasses.replace(floor, walk=walk, side=side, gyro_walk=kept)
     swayed = [(world, body, residual) for (world, body), residual in zip(parts, residuals, strict=True)]
     floor = dataclasses.replace(floor, sway=sway_of(swayed, floor))
     return dataclasses.replace(problem, floor=floor, nuisances=Nuisances())
@@ -254,7 +254,8 @@ def _white_body(
         white[name] = White(world.times[name], one[0], one[1:], np.array(index[name], dtype=np.int64))
     if events is not None:
         every = np.concatenate([jumps_of(world, base)[None], *jump_rows])
-        found, logs = white_poses(events, {name: stacked[name] for name in events.names}, every, problem.floor.walk)
+        posed = {name: stacked[name] for name in events.names}
+        found, logs = white_poses(events, posed, every, problem.floor.walk, problem.floor.side)
         for name, one in found.items():
             white[name] = White(world.times[name], one[0], one[1:], np.array(index["poses"], dtype=np.int64))
     return white, logs

@@ -8,12 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from core.gap.candidates import Candidate
+from core.gap.candidates import Candidate, bounds
 from core.gap.linear import Normal
 from core.gap.nuisance import SPREAD, bounded, limits
 
 Array = npt.NDArray[np.float64]
 
+CLEAR = 36.0
+"""Drop of the cost that is beyond chance on fifty candidates, six deviations."""
 SECANT = (0.25, 4.0)
 """Weights that a secant may have: its shape holds near its start only."""
 
@@ -81,8 +83,17 @@ class Screen:
                 score, info = self._beside(at, named)
                 out[k] = max(2.0 * weight * score - weight**2 * info, self.secants.get(at, 0.0))
             else:
-                out[k] = self.drop([*own, *mine], [*named, one.effect]) - base
+                out[k] = (
+                    0.0 if self._negative(one, mine, named) else self.drop([*own, *mine], [*named, one.effect]) - base
+                )
         return out
+
+    def _negative(self, one: Candidate, mine: Sequence[int], named: Sequence[str]) -> bool:
+        """Whether the data ask for less of an effect than none at all, as of slip in speeding up."""
+        if len(mine) != 1:
+            return False
+        least = bounds(one.effect, one.free[0])[0]
+        return float(one.start[one.free[0]]) <= least and self._beside(mine[0], named)[0] < 0.0
 
     def _beside(self, at: int, named: Sequence[str]) -> tuple[float, float]:
         """Score and information of one column, the model's own parameters and the nuisances marginalised."""
@@ -104,6 +115,18 @@ class Screen:
         named = sorted(set(self.effects[: self.own]))
         pairs = [(one.effect, at[0]) for one, at in zip(tried, self.places, strict=False) if len(at) == 1]
         return frozenset(e for e, i in pairs if self.limit[i] and self._beside(i, named)[1] * self.limit[i] ** 2 < 1.0)
+
+    def clear(self, tried: Sequence[Candidate]) -> frozenset[str]:
+        """Effects of one parameter that are there beyond chance, whatever their size: from nothing, not from their
+        tolerance, they bring `CLEAR`."""
+        own, named = list(range(self.own)), sorted(set(self.effects[: self.own]))
+        out = set()
+        for one, mine in zip(tried, self.places, strict=False):
+            if len(mine) == 1 and self.limit[mine[0]] and not self._negative(one, mine, named):
+                without = self.drop(own, [*named, one.effect])
+                if self.drop([*own, *mine], [*named, one.effect]) - without > CLEAR:
+                    out.add(one.effect)
+        return frozenset(out)
 
     def _weight(self, at: int, named: Sequence[str]) -> float:
         score, info = self._beside(at, named)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -35,8 +35,12 @@ WORTH = 24.0
 """Drop of the cost that an effect must bring: noise on fifty candidates stays below (see tests/bench/bench_gap.py)."""
 WHEELS_WORTH = 120.0
 """The same of encoders: rounding at slow speed is no white noise."""
+MATERIAL = 12.0
+"""The same, beyond its own tolerance, of an effect that is there beyond chance."""
 PRICE = 8.0
 """What a further parameter must bring (about the logarithm of the readings that say something of it)."""
+PLACED = WORTH + 3.0 * PRICE
+"""Drop that a patch or a bump must bring: its place was searched."""
 POLISHED = 0.05
 """A patch that brings less than this per reading is not worth the search for its last centimetre."""
 
@@ -86,6 +90,7 @@ def search(
     tolerated: dict[str, float] = {}
     unknown: tuple[Shape, float] | None = None
     sight: Sight | None = None
+    clear: frozenset[str] = frozenset()
     for _ in range(MOST):
         fresh = _fresh(tried, fit, unknown)
         problem, fit, screen = screened(problem, fit, [*fresh, *aside], scope)
@@ -98,13 +103,15 @@ def search(
             fresh, gain = [*fresh, *local], np.concatenate((gain, brings))
         gains = _best_of(fresh, gain)
         worth = max(worth, BESIDE * unknown[1]) if unknown is not None else worth
-        chosen = _worthy(problem, fit, screen, (fresh, gain), worth, tolerated)
+        clear |= screen.clear(fresh) if worth == WORTH else frozenset()
+        needed = {name: MATERIAL if name in clear else PLACED if name in SEARCHED else worth for name in gains}
+        chosen = _worthy(problem, fit, screen, (fresh, gain), needed, tolerated)
         fits = _compared(problem, fit, chosen, scope) or _masked(problem, fit, fresh, paired, worth, scope)
         fits = fits or _late(problem, fit, fresh, worth, scope)
         if not fits:
             break
         name, best = min(fits, key=lambda item: _priced(item[1]))
-        if fit.cost - best.cost < worth:
+        if fit.cost - best.cost < min(needed[one] for one in name.split("+")):
             break
         weighed = tuple((n, _priced(fit) + PRICE - _priced(one)) for both, one in fits for n in both.split("+"))
         if unknown is None:
@@ -121,7 +128,7 @@ def search(
                 continue
         added = name.split("+")  # the two of a pair are no rivals of each other
         steps += [Step(f"add {one}", tuple(p for p in weighed if p[0] == one or p[0] not in added)) for one in added]
-        best, dropped = _drop(problem, best, scope, worth)
+        best, dropped = _drop(problem, best, scope, worth, clear)
         steps += [Step(f"drop {one}") for one in dropped]
         best = _polished(problem, best, scope) if name == "slip_patch" else best
         problem = with_floor(problem, best.model)
@@ -167,7 +174,7 @@ def _worthy(
     fit: Fit,
     screen: Screen,
     promised: tuple[Sequence[Candidate], Array],
-    worth: float,
+    worth: Mapping[str, float],
     tolerated: Mapping[str, float],
 ) -> list[Candidate]:
     """Of candidates and their promised gains, those that are worth a fit."""
@@ -175,8 +182,10 @@ def _worthy(
     gains, left, crumbs, dim = _best_of(fresh, gain), _excess(fit), _crumbs(problem, fit), screen.dim(fresh)
     return [
         one
-        for one in _starts(fresh, gain)
-        if _enough(one.effect, gains[one.effect], worth, tolerated, left, crumbs if one.effect in dim else {})
+        for one in _starts(fresh, gain, min(worth.values(), default=WORTH))
+        if _enough(
+            one.effect, gains[one.effect], worth[one.effect], tolerated, left, crumbs if one.effect in dim else {}
+        )
     ]
 
 
@@ -391,22 +400,27 @@ def _best_of(tried: Sequence[Candidate], gain: Array) -> dict[str, float]:
     return out
 
 
-def _starts(tried: Sequence[Candidate], gain: Array) -> list[Candidate]:
+def _starts(tried: Sequence[Candidate], gain: Array, worth: float) -> list[Candidate]:
     """The best start of each of the best effects: some that are smooth, some whose promise is rough."""
     order = [int(k) for k in np.argsort(-gain)]
     out: list[Candidate] = []
     for rough, most in ((False, TRIED), (True, ROUGH)):
         kind = [k for k in order if tried[k].secant == rough]
         for k in kind:
-            if gain[k] < max(WORTH, 0.2 * gain[kind[0]]) or sum(one.secant == rough for one in out) >= most:
+            if gain[k] < max(min(WORTH, worth), 0.2 * gain[kind[0]]) or sum(one.secant == rough for one in out) >= most:
                 break
             if all(one.effect != tried[k].effect for one in out):
                 out.append(tried[k])
     return out
 
 
-def _drop(problem: Problem, fit: Fit, scope: str, worth: float, least: int = 2) -> tuple[Fit, list[str]]:
-    """Without every effect that the others can do without; a model of fewer than `least` stays."""
+def _drop(
+    problem: Problem, fit: Fit, scope: str, worth: float, clear: Collection[str] = (), least: int = 2
+) -> tuple[Fit, list[str]]:
+    """Without every effect that the others can do without; a model of fewer than `least` stays.
+
+    clear: effects that need only be material.
+    """
     dropped: list[str] = []
     for name in list(fit.model):
         if len(fit.model) < least:
@@ -415,7 +429,7 @@ def _drop(problem: Problem, fit: Fit, scope: str, worth: float, least: int = 2) 
         if lost(fit, name) > 50.0 * WORTH:
             continue
         without = refit(problem, rest, scope)
-        if without.cost - fit.cost < worth:
+        if without.cost - fit.cost < (MATERIAL if name in clear else worth):
             fit = without
             dropped.append(name)
     return fit, dropped

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from core.gap._pose_numba import whiten_offset, whiten_poses
+from core.gap._pose_numba import SIDE, whiten_offset, whiten_poses
 from core.gap.floor import Floor, wrap
 from core.gap.reference import WINDOW
 from core.gap.world import POSES, WHEELS, World
@@ -163,9 +163,12 @@ def all_jumps(world: World, body: Outputs) -> Array:
 
 
 def white_poses(
-    events: Events, values: Mapping[str, Array], jumps: Array, walk: float
+    events: Events, values: Mapping[str, Array], jumps: Array, walk: float, side: float
 ) -> tuple[dict[str, Array], float]:
-    """values: (M, N) residual and columns per channel; jumps (M, K, 3). (White values, sum of log variances)."""
+    """values: (M, N) residual and columns per channel; jumps (M, K, 3). (White values, sum of log variances).
+
+    walk, side: as `Floor` has them.
+    """
     sides = len(jumps)
     stacked = np.concatenate(
         [values[name] for name in events.names] + [np.zeros((sides, int(events.restart.sum())))], axis=1
@@ -179,6 +182,7 @@ def white_poses(
         np.ascontiguousarray(jumps.transpose(1, 2, 0)),
         events.start,
         walk,
+        side,
         readings,
     )
     back = np.empty_like(stacked)
@@ -189,16 +193,24 @@ def white_poses(
 
 
 WALKS = (1e-5, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
+FINER = (0.5, 0.7, 1.0, 1.4)
+SIDES = (0.1, 0.2, SIDE, 0.5)
+"""Walks of the heading that are tried, then these shares of the best, and walks of the position per walk of the
+heading."""
 
 
-def best_walk(events: Sequence[tuple[Events, Mapping[str, Array], Array]]) -> float:
-    """The walk that makes the residuals of all runs likeliest: (events, residuals (N,) per channel, jumps (K, 3))."""
-    costs = []
-    for walk in WALKS:
-        cost = 0.0
+def best_walk(events: Sequence[tuple[Events, Mapping[str, Array], Array]]) -> tuple[float, float]:
+    """The walk and side that make the residuals of all runs likeliest: (events, residuals (N,) per channel, jumps)."""
+
+    def cost(walk: float, side: float) -> float:
+        out = 0.0
         for one, residuals, jumps in events:
             rows = {name: residuals[name][None, :] for name in one.names}
-            white, logs = white_poses(one, rows, jumps[None], walk)
-            cost += logs + sum(float(np.sum(np.minimum(value**2, 25.0))) for value in white.values())
-        costs.append(cost)
-    return WALKS[int(np.argmin(costs))]
+            white, logs = white_poses(one, rows, jumps[None], walk, side)
+            out += logs + sum(float(np.sum(np.minimum(value**2, 25.0))) for value in white.values())
+        return out
+
+    walk = min(WALKS, key=lambda one: cost(one, SIDE))
+    if walk == WALKS[0]:
+        return walk, SIDE
+    return min(((walk * share, side) for share in FINER for side in SIDES), key=lambda pair: cost(*pair))
