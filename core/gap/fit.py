@@ -130,7 +130,7 @@ def fit_at(problem: Problem, inside: Model, scope: str, spread: float = 1.0, sco
     _, g, a = normal.total
     share = np.zeros((len(columns), 0))
     aside = _cross(white, nuisances, len(columns))[:, beside] if len(beside) else np.zeros((len(columns), 0))
-    product = _inner(white, nuisances)[np.ix_(beside, beside)]
+    product = _inner(white, nuisances, exact=scores)[np.ix_(beside, beside)]
     joint = _joint(g, a, aside, nuisances, beside, at[beside], _pull(white, nuisances)[beside], product)
     if len(beside) and len(columns):  # those at their limits too: which of them are is chance as well
         inner = product + np.diag(sd**-2.0)
@@ -218,6 +218,14 @@ def trifles_of(problem: Problem, fit: Fit) -> dict[str, dict[str, tuple[float, f
     return out
 
 
+def flaws_seen(problem: Problem, fit: Fit) -> list[tuple[float, float]]:
+    """Size and standard deviation of every flaw of no effect, in units of what is immaterial."""
+    nuisances = problem.nuisances
+    beside = np.flatnonzero(nuisances.beside(list(fit.model)))
+    pairs = zip(beside, _spread(nuisances, beside), strict=True)
+    return [(float(fit.trifles[i]), float(s)) for i, s in pairs if nuisances.keys[i].startswith("~")]
+
+
 def flaws_of(problem: Problem, fit: Fit) -> dict[str, float]:
     """Sizes of those flaws of no effect that are clear of nothing, by key."""
     nuisances = problem.nuisances
@@ -261,9 +269,9 @@ FAR = 0.01
 """Where more than this share of the readings lies far off, or did, products are taken with today's weights."""
 
 
-def _inner(white: Sequence[Mapping[str, White]], nuisances: Nuisances) -> Array:
-    """(M, M) products of the nuisances' columns, weighted as the residual asks for."""
-    if max(nuisances.far, far_of(white)) < FAR:
+def _inner(white: Sequence[Mapping[str, White]], nuisances: Nuisances, exact: bool = False) -> Array:
+    """(M, M) products of the nuisances' columns, weighted as the residual asks for; exact: whatever that brings."""
+    if not exact and max(nuisances.far, far_of(white)) < FAR:
         return nuisances.a
     out = np.zeros_like(nuisances.a)
     for one, rows in zip(white, nuisances.rows, strict=False):

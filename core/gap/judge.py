@@ -10,7 +10,7 @@ from scipy.special import ndtr
 
 from core.effects import EFFECTS
 from core.gap.candidates import Reach, tolerance
-from core.gap.fit import Fit
+from core.gap.fit import Fit, flaws_seen
 from core.gap.selection import Found
 from core.gap.types import Config, Value
 from core.robot import EffectSet
@@ -26,7 +26,7 @@ were right (app/guide/gap.md)."""
 LEADS = 0.51
 """Probability of the first of a set whose members these runs cannot tell apart, at least."""
 LEAST = {
-    "command_delay.delay": 4e-4, "motor_lag.tau": 4e-4, "imu_clock.offset": 5e-5, "beacon_delay.delay": 5e-4,
+    "command_delay.delay": 4e-4, "motor_lag.tau": 4e-4, "imu_clock.offset": 3e-4, "beacon_delay.delay": 5e-4,
     "deadband.width": 1e-4, "slip_patch.x": 1e-2, "slip_patch.y": 1e-2, "slip_patch.radius": 1e-2,
     "slip_patch.slip": 5e-4, "bump.time": 1e-3, "accel_limit.a_max": 3e-3, "speed_limit.v_max": 1e-3,
     "gyro_clip.limit": 1e-3,
@@ -47,15 +47,32 @@ def louder(fit: Fit) -> Array:
     return np.maximum(out, 1.0)
 
 
-UNLISTED = 0.15
-"""Share of its tolerance to which no parameter is known: flaws that no list has, each immaterial, move it so much.
-Learnt on MuJoCo's robot (tests/plants/gap_mujoco.py, seeds 430 to 435), held against others (app/guide/gap.md)."""
+EXPECTED, SHARP = 0.1, 0.1
+"""Of flaws that no list has, before any is seen: their size in units of what is immaterial, worth one that is seen.
+Flaws known to this share of what is immaterial count half of those that are known exactly."""
 FEWEST = 12
 """Fewer blocks than this say nothing of their scatter."""
 
 
-def deviations(fit: Fit) -> dict[tuple[str, str], float]:
-    """Standard deviation of each parameter: the larger of the model's own and one from the scatter between blocks."""
+def unlisted(found: Sequence[Found]) -> float:
+    """Size of a robot's flaws that no list has, in units of what is immaterial, as those show that are seen.
+
+    What contact, inertia and friction do to the motion is fitted beside every model (`discrepancy.py`); what else such
+    a robot does, unseen, moves every parameter by as much of its tolerance.
+    """
+    total, count = EXPECTED**2, 1.0
+    for one in found:
+        for size, sd in flaws_seen(one.problem, one.fit):
+            weight = SHARP**2 / (SHARP**2 + sd**2)
+            total, count = total + weight * (size**2 - sd**2), count + weight
+    return float(np.sqrt(max(total, 0.0) / count))
+
+
+def deviations(fit: Fit, flawed: float = EXPECTED) -> dict[tuple[str, str], float]:
+    """Standard deviation of each parameter: the larger of the model's own and one from the scatter between blocks.
+
+    flawed: share of its tolerance to which no parameter is known, as `unlisted` tells.
+    """
     a = fit.a
     if not len(a):
         return {}
@@ -71,15 +88,15 @@ def deviations(fit: Fit) -> dict[tuple[str, str], float]:
     out = {}
     for i, key in enumerate(fit.parameters):
         sd = float(model[i] if few else max(model[i], min(blocks[i], 10.0 * model[i])))
-        small = EFFECTS[key[0]].parameter(key[1]).small or 0.0
-        unlisted = 0.0 if EFFECTS[key[0]].parameter(key[1]).small_of_reach else UNLISTED * abs(small)
-        out[key] = float(np.hypot(np.hypot(sd, unlisted), LEAST.get(".".join(key), 0.0)))
+        one = EFFECTS[key[0]].parameter(key[1])
+        moved = 0.0 if one.small_of_reach else flawed * abs(one.small or 0.0)
+        out[key] = float(np.hypot(np.hypot(sd, moved), LEAST.get(".".join(key), 0.0)))
     return out
 
 
-def values_of(fit: Fit, effect: str) -> dict[str, Value]:
-    """An effect's parameters with their deviations."""
-    sd = deviations(fit)
+def values_of(fit: Fit, effect: str, flawed: float = EXPECTED) -> dict[str, Value]:
+    """An effect's parameters with their deviations; flawed: as `deviations` takes it."""
+    sd = deviations(fit, flawed)
     out = {}
     for name, value in fit.model[effect].items():
         out[name] = Value(value if isinstance(value, str) else float(value), sd.get((effect, name)))

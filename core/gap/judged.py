@@ -11,7 +11,7 @@ from scipy.special import ndtr
 from core.effects import EFFECTS
 from core.gap.candidates import Reach
 from core.gap.explain import Search
-from core.gap.judge import SURE, beyond, is_material, probabilities, values_of
+from core.gap.judge import SURE, beyond, is_material, probabilities, unlisted, values_of
 from core.gap.leftover import unknown_of
 from core.gap.types import Config, Unexplained, Value
 from core.robot import EffectSet
@@ -45,8 +45,9 @@ def judged(found: Search, reach: Reach, known: EffectSet, config: Config) -> Jud
     finer = _finer(trifles, known, reach, config)
     model = {**found.model, **finer}
     values: dict[str, Mapping[str, Value]] = {}
+    flawed = unlisted(found.links)
     for link in found.links:
-        values |= {name: values_of(link.fit, name) for name in link.fit.model}
+        values |= {name: values_of(link.fit, name, flawed) for name in link.fit.model}
     values |= {effect: {name: Value(*pair) for name, pair in one.items()} for effect, one in trifles.items()}
     material = [name for name in model if is_material(name, model[name], known, reach, config)]
     noises: dict[str, dict[str, float | str]] = {}

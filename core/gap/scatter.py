@@ -179,11 +179,13 @@ def gyro_walk(problem: Problem, residuals: Sequence[tuple[Array, Array]]) -> tup
     gain = float(total[0] - total[best])
     if best == 0 or gain < 12.0:
         return None, max(gain, 0.0)
-    around = total[max(best - 1, 0) : best + 2]
-    step = np.log(DENSITIES[2] / DENSITIES[1])
-    bend = (around[0] - 2.0 * around[1] + around[-1]) / step**2 if len(around) == 3 else 1.0
-    sd = DENSITIES[best] * float(np.sqrt(2.0 / max(bend, 0.1)))
-    return Scatter("gyro_walk", {"density": (float(DENSITIES[best]), sd)}, gain), gain
+    near = min(max(best, 2), len(DENSITIES) - 2)  # the first of all is no walk
+    before, at, after = total[near - 1 : near + 2]
+    bend, slope = max(float(before - 2.0 * at + after), 1e-3), 0.5 * float(after - before)
+    step = float(np.log(DENSITIES[2] / DENSITIES[1]))
+    density = float(DENSITIES[near] * np.exp(-step * np.clip(slope / bend, -1.0, 1.0)))
+    sd = density * step * float(np.sqrt(2.0 / max(bend, 0.1 * step**2)))
+    return Scatter("gyro_walk", {"density": (density, sd)}, gain), gain
 
 
 def gyro_left(problem: Problem, fit: Fit) -> list[tuple[Array, Array]]:
@@ -235,107 +237,181 @@ def _steady(problem: Problem, fit: Fit, world: World) -> npt.NDArray[np.bool_]:
 
 
 def outliers(problem: Problem, model: EffectSet) -> list[Scatter]:
-    """`beacon_outliers`, and the noise level beside them: two normal distributions, by expectation-maximisation."""
-    sets: list[Array] = []
+    """`beacon_outliers`, and the noise level beside them: two normal distributions, by expectation-maximisation.
+
+    Sensors share the outliers' size in metres, and how much louder than its floor each is.
+    """
+    sets: list[tuple[float, Array]] = []
     for world in problem.worlds:
         sets += _errors(problem, world, model)
     if not sets:
         return []
-    squares = np.concatenate([np.sum(e**2, axis=0) / len(e) for e in sets])
+    dims = [len(e) for _, e in sets]
+    powers = [np.sum(e**2, axis=0) for _, e in sets]
+    squares = np.concatenate([q / d for q, d in zip(powers, dims, strict=True)])
     if int((squares > FAR**2).sum()) < LEAST:
         return []
-    rate, near, wide = 0.05, 1.0, 6.0
+    units = np.array([unit for unit, _ in sets])
+    rate, near, size = 0.05, 1.0, 6.0 * float(units.mean())
+    n = sum(len(q) for q in powers)
     for _ in range(80):
-        powers = [np.sum(e**2, axis=0) for e in sets]
-        inner = [(1.0 - rate) * near ** -len(e) * np.exp(-0.5 * q / near**2) for e, q in zip(sets, powers, strict=True)]
-        outer = [rate * wide ** -len(e) * np.exp(-0.5 * q / wide**2) for e, q in zip(sets, powers, strict=True)]
-        share = [b / np.maximum(a + b, 1e-300) for a, b in zip(inner, outer, strict=True)]
-        count = sum(float(s.sum()) for s in share)
-        n = sum(len(s) for s in share)
-        rate = count / n
-        wide = np.sqrt(_mean_square(share, powers, sets))
-        near = np.sqrt(_mean_square([1.0 - s for s in share], powers, sets))
-        wide = max(wide, 2.0 * near)
-    if wide < APART * near or rate > COMMON:
+        wide = near**2 + (size / units) ** 2
+        share = [_outlying(q, d, rate, near**2, w) for q, d, w in zip(powers, dims, wide.tolist(), strict=True)]
+        rate = sum(float(s.sum()) for s in share) / n
+        whole = sum(float(s.sum()) * d for s, d in zip(share, dims, strict=True))
+        # of a wide error, the part that is the outlier's own, and that part's variance (both are normal)
+        part = [(1.0 - near**2 / w) * u for w, u in zip(wide.tolist(), units.tolist(), strict=True)]
+        own = [p * p * float(s @ q) for s, q, p in zip(share, powers, part, strict=True)]
+        own += [float(s.sum()) * d * near * near * p * u for s, d, p, u in zip(share, dims, part, units, strict=True)]
+        size = float(np.sqrt(sum(own) / max(whole, 1e-9)))
+        near = float(np.sqrt(_mean_square([1.0 - s for s in share], powers, dims)))
+    unit = float(units.mean())
+    if np.hypot(size / unit, near) < APART * near or rate > COMMON:
         return []
-    names = [name for name in ("beacon.x", "ranges.range") if name in problem.floor.sigma]
-    unit = float(np.mean([problem.floor.sigma[name] for name in names]))
-    size = float(np.sqrt(wide**2 - near**2)) * unit
+    hits = [float(s.sum()) for s in share]
+    known = sum(h * d * (1.0 - near**2 / w) ** 2 for h, d, w in zip(hits, dims, wide.tolist(), strict=True))
     sd = float(np.sqrt(rate * (1.0 - rate) / n)) * 1.2
-    hits = max(rate * n, 1.0)
-    return [Scatter("beacon_outliers", {"rate": (rate, sd), "size": (size, size / np.sqrt(2.0 * hits))}, 4.0 * hits)]
+    found = {"rate": (rate, sd), "size": (size, size / float(np.sqrt(2.0 * max(known, 1.0))))}
+    return [Scatter("beacon_outliers", found, 4.0 * max(rate * n, 1.0))]
 
 
-def _mean_square(share: list[Array], powers: list[Array], sets: list[Array]) -> float:
-    whole = sum(float(s.sum()) * len(e) for s, e in zip(share, sets, strict=True))
+def _outlying(power: Array, dims: int, rate: float, near: float, wide: float) -> Array:
+    """(N,) chance that each error is an outlier. power: its square over its dimensions; near, wide: variances."""
+    inner = (1.0 - rate) * near ** (-0.5 * dims) * np.exp(-0.5 * power / near)
+    outer = rate * wide ** (-0.5 * dims) * np.exp(-0.5 * power / wide)
+    out: Array = outer / np.maximum(inner + outer, 1e-300)
+    return out
+
+
+def _mean_square(share: Sequence[Array], powers: Sequence[Array], dims: Sequence[int]) -> float:
+    whole = sum(float(s.sum()) * d for s, d in zip(share, dims, strict=True))
     return max(sum(float(s @ q) for s, q in zip(share, powers, strict=True)) / max(whole, 1e-9), 1e-6)
 
 
-def _errors(problem: Problem, world: World, model: EffectSet) -> list[Array]:
-    """Errors of fixes (2, N) and ranges (1, N) beside the fitted model, in sigma, none left out."""
+def _errors(problem: Problem, world: World, model: EffectSet) -> list[tuple[float, Array]]:
+    """Sigma [m] and errors of fixes (2, N) and ranges (1, N) beside the fitted model, in sigma, none left out."""
     groups = [
         names for names in (("beacon.x", "beacon.y"), ("ranges.range",)) if all(n in world.readings for n in names)
     ]
     if not groups:
         return []
     body = world.body([problem.overlay(model, "body")])
-    return [
-        np.vstack([(world.readings[n] - world.channel(body, n)[0]) / problem.floor.sigma[n] for n in names])
-        for names in groups
-    ]
+    out = []
+    for names in groups:
+        sigma = [problem.floor.sigma[n] for n in names]
+        far = [(world.readings[n] - world.channel(body, n)[0]) / s for n, s in zip(names, sigma, strict=True)]
+        out.append((float(np.mean(sigma)), np.vstack(far)))
+    return out
 
 
 def shadow(problem: Problem) -> Scatter | None:
     """`beacon_shadow`: a disc from which readings are missing though the rhythm asks for them, and none is there."""
-    present, absent = [], []
-    for world in problem.worlds:
-        for name in ("beacon.x", "ranges.range"):
-            if name in world.times and len(world.times[name]) > FAR:
-                here, gone = _rhythm(world, name)
-                present.append(here)
-                absent.append(gone)
-    if not present:
+    parts = [
+        _rhythm(world, name)
+        for world in problem.worlds
+        for name in ("beacon.x", "ranges.range")
+        if name in world.times and len(world.times[name]) > FAR
+    ]
+    if not parts:
         return None
-    here, gone = np.concatenate(present), np.concatenate(absent)
-    if len(gone) < LEAST:
+    here, gone = (np.concatenate([part[k] for part in parts]) for k in range(2))
+    if len(gone) < LEAST or len(here) < LEAST:
         return None
-    return _disc(here, gone)
+    exact = all(world.run.truth is not None for world in problem.worlds)
+    return _disc(here, gone, EDGE if exact else SMOOTH)
 
 
 def _rhythm(world: World, name: str) -> tuple[Array, Array]:
-    """(N, 2) places of readings, and (M, 2) of those that the rhythm misses."""
+    """(N, 2) places of the tag at readings, and (M, 2) at those that the rhythm misses."""
     t = world.times[name]
     step = float(np.median(np.diff(t)))
     jumps = np.flatnonzero(np.diff(t) > 2.5 * step)
     lost = [np.arange(t[k] + step, t[k + 1] - 0.5 * step, step) for k in jumps]
     times = np.concatenate(lost) if lost else np.empty(0)
-    if world.run.truth is not None and world.run.truth.x is not None and world.run.truth.y is not None:
-        at, x, y = world.run.truth.t, world.run.truth.x, world.run.truth.y
+    truth, mount = world.run.truth, world.run.meta.robot.tag
+    if truth is not None and truth.x is not None and truth.y is not None and truth.theta is not None:
+        at, x, y, theta = truth.t, truth.x, truth.y, np.unwrap(truth.theta)
     elif len(world.restarts):
-        at, x, y = world.restarts[:, 0], world.restarts[:, 1], world.restarts[:, 2]
+        at, x, y, theta = world.restarts[:, 0], world.restarts[:, 1], world.restarts[:, 2], world.restarts[:, 3]
     else:
         return np.empty((0, 2)), np.empty((0, 2))
-    return (
-        np.column_stack((np.interp(t, at, x), np.interp(t, at, y))),
-        np.column_stack((np.interp(times, at, x), np.interp(times, at, y))),
-    )
+    c, s = np.cos(theta), np.sin(theta)
+    tag = (x + c * mount.x - s * mount.y, y + s * mount.x + c * mount.y)
+    here, gone = (np.column_stack([np.interp(when, at, part) for part in tag]) for when in (t, times))
+    return here, gone
 
 
-def _disc(here: Array, gone: Array) -> Scatter | None:
-    """The disc that holds most missing readings and no present one, by a search over centres among the missing."""
-    best = (0.0, np.zeros(2), 0.0)
-    chosen = gone[:: max(len(gone) // 60, 1)]
-    centres = np.concatenate([chosen, *(0.5 * (chosen + other) for other in chosen[:: max(len(chosen) // 12, 1)])])
-    few = here[:: max(len(here) // 4000, 1)]
-    for centre in centres:
-        near = np.sort(np.hypot(*(few - centre).T))
-        radius = float(near[max(int(0.0005 * len(near)), 0)])
-        inside = int((np.hypot(*(gone - centre).T) < radius).sum())
-        if inside > best[0]:
-            best = (inside, centre, radius)
-    count, centre, radius = best
-    if count < LEAST or count < 0.3 * len(gone):
+STRAY = 0.01
+"""Share of readings that get lost outside a shadow, and of those inside that still come."""
+EDGE, SMOOTH = 0.01, 0.04
+"""How sharp a shadow's edge is, the robot's place and a lost reading's instant being known to about this [m]; the same
+where the place is smoothed, without truth."""
+WALKERS, ROUNDS, HELD, SEEN = 48, 400, 60, 400
+"""Discs that walk about, and for how long; walkers left far behind start anew after HELD rounds; readings looked at."""
+SMALLEST, LARGEST = 0.1, 2.0
+"""Radii of shadows [m]."""
+
+
+def _disc(here: Array, gone: Array, edge: float) -> Scatter | None:
+    """The disc that holds what is missing and nothing that came: mean and scatter of all discs by their likelihood.
+
+    Where the robot only grazed it, many discs do. Differential evolution Markov chains (ter Braak 2006).
+    """
+    rng = np.random.default_rng(len(gone))
+    low, high = gone.min(axis=0) - 0.5 * LARGEST, gone.max(axis=0) + 0.5 * LARGEST
+    near = here[np.all((here > low - LARGEST) & (here < high + LARGEST), axis=1)]
+    steps = [max(len(points) // SEEN, 1) for points in (near, gone)]
+    few = (near[:: steps[0]], gone[:: steps[1]])
+    bottom, top = np.array([*low, SMALLEST]), np.array([*high, LARGEST])
+    at = rng.uniform(bottom, top, (40 * WALKERS, 3))
+    level = _likelihood(at, few, steps, edge)
+    best = np.argsort(-level)[:WALKERS]
+    at, level, kept = at[best], level[best], []
+    for k in range(ROUNDS):
+        if k == HELD:
+            good = np.argsort(-level)[: WALKERS // 4]
+            chosen = good[np.arange(WALKERS) % len(good)]
+            at, level = at[chosen] + 1e-3 * rng.standard_normal(at.shape), level[chosen]
+            level = _likelihood(at, few, steps, edge)
+        others = rng.permutation(WALKERS), rng.permutation(WALKERS)
+        size = 1.0 if k % 10 == 0 else 0.97 * rng.uniform(0.3, 1.0)
+        moved = at + size * (at[others[0]] - at[others[1]]) + 2e-3 * rng.standard_normal(at.shape)
+        inside = np.all((moved > bottom) & (moved < top), axis=1)
+        tried = np.where(inside, _likelihood(np.clip(moved, bottom, top), few, steps, edge), -np.inf)
+        better = np.log(rng.uniform(size=WALKERS)) < tried - level
+        at, level = np.where(better[:, None], moved, at), np.where(better, tried, level)
+        if k > 2 * HELD:
+            kept.append(at)
+    discs, share = _levelled(np.concatenate(kept))
+    x, y, radius = (float(value) for value in share @ discs)
+    held = int((np.hypot(gone[:, 0] - x, gone[:, 1] - y) < radius).sum())
+    if held < LEAST or held < 0.3 * len(gone):
         return None
-    sd = 0.02 + 0.05 * radius
-    parameters = {"x": (float(centre[0]), sd), "y": (float(centre[1]), sd), "radius": (radius, sd)}
-    return Scatter("beacon_shadow", parameters, 5.0 * count)
+    sd = np.hypot(np.sqrt(share @ (discs - share @ discs) ** 2), edge)
+    parameters = {"x": (x, float(sd[0])), "y": (y, float(sd[1])), "radius": (radius, float(sd[2]))}
+    return Scatter("beacon_shadow", parameters, 5.0 * held)
+
+
+def _levelled(discs: Array) -> tuple[Array, Array]:
+    """Discs (K, 3) with weights by which all radii that are possible count alike: where a disc touches the readings
+    around it on all sides, as the true one does, few others fit, and that speaks not against it."""
+    low, high = np.quantile(discs[:, 2], (0.005, 0.995))
+    discs = discs[(discs[:, 2] >= low) & (discs[:, 2] <= high)]
+    size = np.maximum((discs[:, 2] - low) / max(high - low, 1e-9) * CLASSES, 0.0).astype(int).clip(max=CLASSES - 1)
+    weight = 1.0 / np.bincount(size, minlength=CLASSES)[size]
+    return discs, weight / weight.sum()
+
+
+CLASSES = 12
+"""Classes of radii that count alike."""
+
+
+def _likelihood(discs: Array, places: Sequence[Array], counts: Sequence[int], edge: float) -> Array:
+    """(K,) log likelihood of discs (K, 3), radii equally likely by their logarithm. places: of readings, of lost ones;
+    counts: how many each of them stands for. On its side of the edge a reading says no more."""
+    out: Array = -np.log(discs[:, 2])
+    for points, side, count in zip(places, (1.0, -1.0), counts, strict=True):
+        far = np.hypot(points[:, 0] - discs[:, :1], points[:, 1] - discs[:, 1:2])
+        deep = np.maximum(side * (discs[:, 2:] - far), 0.0) / edge
+        out -= count * np.minimum(0.5 * deep * deep, -np.log(STRAY)).sum(axis=1)
+    return out
