@@ -110,20 +110,26 @@ def _servo(e: Effects) -> float:
     return 0.0415 / max(lag, own)
 
 
-def leaning(effects: Effects) -> Effects:
-    """The effects with what the physics adds: on unequal tyres the robot leans, and its accelerometer with it."""
+def leaning(effects: Effects, seed: int) -> Effects:
+    """The effects with what the physics adds: on unequal tyres the robot leans, and its accelerometer with it; the
+    bias of that is on top of the little that this robot's accelerometer has anyway."""
     if "unequal_wheels" not in effects:
         return effects
     lean = RADIUS * (get(effects, "unequal_wheels", "ratio", 1.0) - 1.0) / ROBOT_TRACK
-    bias = -9.81 * lean
-    return effects if abs(bias) < 0.002 else {**effects, "accel_bias": {"x": 0.0, "y": bias}}
+    bias, own = -9.81 * lean, 1e-3 * trifles(seed)[4:6]
+    return effects if abs(bias) < 0.002 else {**effects, "accel_bias": {"x": own[0], "y": bias + own[1]}}
+
+
+def trifles(seed: int) -> Floats:
+    """(8,) what this robot has a little of, in units of `ride_run`."""
+    return np.random.default_rng([7, seed]).uniform(-1.0, 1.0, 8)
 
 
 def ride_run(ride: Ride) -> Run:
     """The run that this robot records."""
     rng = np.random.default_rng([6, ride.seed, ride.part])
     e = ride.effects
-    small = np.random.default_rng([7, ride.seed]).uniform(-1.0, 1.0, 8)
+    small = trifles(ride.seed)
     flaws = Flaws(
         inequality=get(e, "unequal_wheels", "ratio", 1.0 + 4e-4 * small[0]) - 1.0,
         track=get(e, "track_width", "scale", 1.0 + 1e-3 * small[1]) - 1.0,
