@@ -41,7 +41,7 @@ from core.gap.types import Cause, Config, Immaterial, Unexplained  # noqa: E402
 from core.gap.world import make_world  # noqa: E402
 from core.run import Run  # noqa: E402
 from tests.plants.gap_draws import draw, plans  # noqa: E402
-from tests.plants.gap_plant import Effects, record  # noqa: E402
+from tests.plants.gap_plant import Effects, acting, record  # noqa: E402
 
 PLANT = (
     "null",
@@ -60,7 +60,7 @@ USUAL = {
     "beacon": "beacon_shift", "ranges": "range_bias", "truth": "track_width",
 }  # fmt: skip
 Row = dict[str, float]
-Case = tuple[list[Run], Run, Effects, str]
+Case = tuple[list[Run], Run, Effects, str, Effects]
 
 
 def alone(runs: Sequence[Run]) -> str:
@@ -95,12 +95,13 @@ def together(runs: Sequence[Run]) -> str:
     return max(clear, key=lambda name: clear[name])
 
 
-def oracle(held: Run, answer: Effects) -> float | None:
-    """Shrinkage that the true effects reach on the held-out run."""
-    world = make_world(held, restarts_of(held, model=answer))
-    problem = with_floor(Problem((world,), Floor({}, {}, {}), held.meta.effects), answer)
+def oracle(held: Run, answer: Effects, whole: Effects) -> float | None:
+    """Shrinkage that the true effects reach on the held-out run. whole: with the little that this robot has anyway."""
+    world = make_world(held, restarts_of(held, model=whole))
+    problem = with_floor(Problem((world,), Floor({}, {}, {}), held.meta.effects), whole)
     noises = {name: values for name, values in answer.items() if name in NOISES}
-    scored = Scored((world,), [show(world, {}, answer, problem.floor)], tuple(answer), True)
+    small = {name: values for name, values in whole.items() if name not in answer and name not in NOISES}
+    scored = Scored((world,), [show(world, small, answer, problem.floor)], tuple(answer), True)
     return figures(scored, problem.floor, noises, 0)[0].shrink
 
 
@@ -133,9 +134,10 @@ def identify(runs: Sequence[Run]) -> Brief:
 
 
 def score(
-    runs: Sequence[Run], held: Run, answer: Effects, outside: bool, baselines: bool, brief: bool
+    runs: Sequence[Run], held: Run, true_effects: tuple[Effects, Effects], outside: bool, baselines: bool, brief: bool
 ) -> tuple[Row, Diagnosis | Brief]:
-    """Figures of one case, and what was found."""
+    """Figures of one case, and what was found. true_effects: the answer, and with all that is immaterial."""
+    answer, whole = true_effects
     began = time.process_time()
     found = identify(runs) if brief else diagnose(runs, held_out=[held])
     row: Row = {"cpu_s": time.process_time() - began, "unknown": found.probabilities.get("unknown", 0.0)}
@@ -157,7 +159,7 @@ def score(
         if true:
             stream = found.where[0].stream if found.where else "-"
             row["loudest"] = float(USUAL.get(stream, USUAL.get(stream.split(".")[0], "-")) in true)
-            best = oracle(held, answer)
+            best = oracle(held, answer, whole)
             if best is not None and best > 0.05 and found.gap.shrink is not None:
                 row["shrunk"] = found.gap.shrink / best
         row["harm"] = float(found.gap.total.after > 1.002 * found.gap.total.before and bool(named))
@@ -186,17 +188,18 @@ def mujoco_cases(kind: str, seeds: range) -> Iterator[Case]:
             effects = draw(name, 2.5 if "small" in kind else float(rng.uniform(6.0, 30.0)), rng)
         ride = Ride(seed, effects=effects)
         runs = [ride_run(replace(ride, part=k, seconds=t)) for k, t in enumerate((50.0, 40.0, 40.0))]
-        yield runs[:2], runs[2], leaning(effects, seed), "+".join(effects)
+        answer = leaning(effects, seed)
+        yield runs[:2], runs[2], answer, "+".join(effects), answer
 
 
 def cases(stratum: str, seeds: range) -> Iterator[Case]:
-    """(fit runs, held-out run, answer, label) of a stratum."""
+    """(fit runs, held-out run, answer, label, all effects) of a stratum."""
     if stratum.startswith("mujoco"):
         yield from mujoco_cases(stratum, seeds)
         return
     for seed in seeds:
         fit, held, answer, label = plans(stratum, seed)
-        yield [record(plan) for plan in fit], record(held), answer, label
+        yield [record(plan) for plan in fit], record(held), answer, label, acting(held)
 
 
 def told(found: Diagnosis | Brief) -> str:
@@ -294,8 +297,8 @@ def main() -> None:
     lines: list[dict[str, Any]] = []
 
     def add(stratum: str, case: Case, outside: bool) -> None:
-        runs, held, answer, label = case
-        row, found = score(runs, held, answer, outside, not chosen.bare, chosen.brief)
+        runs, held, answer, label, whole = case
+        row, found = score(runs, held, (answer, whole), outside, not chosen.bare, chosen.brief)
         line = {"stratum": stratum, "label": label, "outside": outside, "row": row}
         line |= {"answer": {name: dict(values) for name, values in answer.items()}, "told": told(found)}
         line["pairs"] = pairs(found, answer, outside)
