@@ -178,15 +178,19 @@ def _tails(far: Array) -> float:
     return 1.0 if ratio < HEAVY[0] else min(ratio, HEAVY[1])
 
 
-def _level(far: Array, coarse: bool) -> float:
-    """Variance by the median; of few levels, among which a median jumps, by the mean square of what lies near."""
+def _level(far: Array) -> float:
+    """Variance by the mean square of what lies near; a median of few levels jumps from one to the next."""
     size = float(np.median(np.abs(far))) / NORMAL_MEDIAN
-    if not coarse:
-        return size**2
     for _ in range(3):
         inside = far[np.abs(far) < TRIM * max(size, float(np.abs(far).mean()))]
         size = float(np.sqrt(np.mean(inside**2) / TRIMMED)) if len(inside) else size
     return size**2
+
+
+CLEAR = 3.0
+"""Deviations by which noise must grow with speed to be told as vibration."""
+SCATTERED = 4.5
+"""Variance of such a level over its square, times the readings: third differences repeat each other."""
 
 
 def _vibration(
@@ -196,10 +200,8 @@ def _vibration(
     sigma: dict[str, float],
 ) -> tuple[dict[str, float], float, float]:
     """Accelerometer noise that grows with speed: median squares of differences in classes of speed, a line through."""
-    squares, speed, coarse = [], [], []
+    squares, speed = [], []
     for name in ("imu.ax", "imu.ay"):
-        steps = [rounding_of(world.readings[name]) for world in worlds if name in world.readings]
-        coarse.append(max(steps, default=0.0) > COARSE * sigma[name])
         far, v = [], []
         for world, residual, fast in zip(worlds, residuals, speeds, strict=True):
             if name in residual and fast is not None:
@@ -219,7 +221,7 @@ def _vibration(
             inside = (rates >= a) & (rates <= b)
             n = int(inside.sum())
             if n >= FEW:
-                level = max(_level(square[inside], coarse[axis]), NOTHING)
+                level = max(_level(square[inside]), NOTHING)
                 row = [0.0, 0.0, float(np.mean(rates[inside] ** 2))]
                 row[axis] = 1.0
                 design.append(row)
@@ -229,8 +231,8 @@ def _vibration(
     if len(x) < 4 or np.linalg.matrix_rank(x) < 3:
         return sigma, 0.0, 0.0
     base_x, base_y, k2 = np.linalg.lstsq(x * w[:, None], y * w, rcond=None)[0]
-    cov = np.linalg.inv((x * w[:, None]).T @ (x * w[:, None])) * 1.8
-    if k2 <= 4.0 * np.sqrt(cov[2, 2]) or min(base_x, base_y) <= 0.0:
+    cov = np.linalg.inv((x * w[:, None]).T @ (x * w[:, None])) * SCATTERED
+    if k2 <= CLEAR * np.sqrt(cov[2, 2]) or min(base_x, base_y) <= 0.0:
         return sigma, 0.0, 0.0
     rough = {**sigma, "imu.ax": float(np.sqrt(base_x)), "imu.ay": float(np.sqrt(base_y))}
     return rough, float(np.sqrt(k2)), float(0.5 * np.sqrt(cov[2, 2] / k2))

@@ -133,8 +133,15 @@ def is_material(effect: str, values: Mapping[str, float | str], known: EffectSet
     return max(abs(r) for r in ratios) > 1.0
 
 
+RARE = 2.0
+"""Deviations beyond its tolerance at which a noise effect is as likely a cause as not."""
+
+
 def beyond(effect: str, values: Mapping[str, Value]) -> float:
-    """Probability that a noise effect is larger than its tolerance, by its own standard deviation."""
+    """Probability that a noise effect is larger than its tolerance, by its own standard deviation.
+
+    Robots with a flaw within its tolerance are many, those beyond are few: chance must not lift one of the many over.
+    """
     chances = []
     for parameter in EFFECTS[effect].parameters:
         one = values.get(parameter.name)
@@ -142,7 +149,7 @@ def beyond(effect: str, values: Mapping[str, Value]) -> float:
             continue
         neutral = float(parameter.neutral)
         edge = parameter.small - neutral if parameter.small > neutral > 0.0 else parameter.small
-        chances.append(float(ndtr((abs(float(one.value) - neutral) - edge) / one.std)))
+        chances.append(float(ndtr((abs(float(one.value) - neutral) - edge) / one.std - RARE)))
     return max(chances, default=1.0)
 
 
