@@ -57,6 +57,11 @@ class Candidate:
     secant: bool = False
 
     @property
+    def smooth(self) -> bool:
+        """Whether what it promises to first order is what it brings."""
+        return not self.secant and EFFECTS[self.effect].smooth
+
+    @property
     def keys(self) -> tuple[str, ...]:
         """Names of the columns: one per free parameter, one in all for a secant."""
         return (f"{self.effect}*",) if self.secant else tuple(f"{self.effect}.{name}" for name in self.free)

@@ -108,8 +108,13 @@ def _others(found: Search, verdict: str, seen_by: Judged) -> dict[str, float]:
     strange = max(chance_of_unknown(found), *seen_by.doubt.values(), 0.0)
     if seen_by.unexplained is not None:
         strange = max(strange, LEFT_SURE)
-    nothing = SURE_NONE * (1.0 - strange) if verdict == "none" else 0.0
+    nothing = chance_of_none(strange, seen_by.chances) if verdict == "none" else 0.0
     return {"none": nothing, "unknown": strange}
+
+
+def chance_of_none(strange: float, chances: Mapping[str, float]) -> float:
+    """Probability that nothing material is at work, where nothing is told."""
+    return SURE_NONE * (1.0 - strange) * max(1.0 - sum(chances.values()), 0.0)
 
 
 def _warnings(harmful: Sequence[str], scored: Scored, seen_by: Judged) -> tuple[str, ...]:

@@ -206,4 +206,16 @@ def probabilities(found: Sequence[Found], material: Sequence[str], doubt: Mappin
                 out[rival] = max(out.get(rival, 0.0), rest * weight / whole)
     for name in material:
         out.setdefault(name, SURE * (1.0 - doubt.get(name, 0.0)))
-    return out
+    return {**in_question(found), **out}
+
+
+def in_question(found: Sequence[Found]) -> dict[str, float]:
+    """Of effects that bring less than they must: as likely as none at what they must bring, less by what is missing."""
+    short = {name: value for one in found for name, value in one.faint.items()}
+    weights = {name: float(np.exp(-0.5 * min(value, 100.0))) for name, value in short.items()}
+    whole = 1.0 + sum(weights.values())
+    return {name: SURE * weight / whole for name, weight in weights.items() if weight > ASKED * whole}
+
+
+ASKED = 0.01
+"""No effect of less probability is in question."""

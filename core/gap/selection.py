@@ -59,7 +59,8 @@ class Found:
 
     unknown: a shape of no listed effect that took more than any of them, where the search met one. earned: rise of the
     cost without each effect, the rest refitted. tolerated: per channel, the deviance that a flaw of tolerated size
-    brings (median over the effects that touch it).
+    brings (median over the effects that touch it). faint: by how much smooth effects that are not in the model promise
+    less than they must bring.
     """
 
     fit: Fit
@@ -70,6 +71,7 @@ class Found:
     unknown: tuple[Shape, float] | None = None
     tolerated: dict[str, float] = field(default_factory=dict)
     screen: Sight | None = None
+    faint: dict[str, float] = field(default_factory=dict)
 
 
 def search(
@@ -91,6 +93,7 @@ def search(
     unknown: tuple[Shape, float] | None = None
     sight: Sight | None = None
     clear: frozenset[str] = frozenset()
+    faint: dict[str, float] = {}
     for _ in range(MOST):
         fresh = _fresh(tried, fit, unknown)
         problem, fit, screen = screened(problem, fit, [*fresh, *aside], scope)
@@ -106,6 +109,7 @@ def search(
         clear |= screen.clear(fresh) if worth == WORTH else frozenset()
         needed = {name: MATERIAL if name in clear else PLACED if name in SEARCHED else worth for name in gains}
         chosen = _worthy(problem, fit, screen, (fresh, gain), needed, tolerated)
+        faint = _faint(problem, fit, screen, (fresh, gain)) if worth == WORTH else {}
         fits = _compared(problem, fit, chosen, scope) or _masked(problem, fit, fresh, paired, worth, scope)
         fits = fits or _late(problem, fit, fresh, worth, scope)
         if not fits:
@@ -134,7 +138,8 @@ def search(
         problem = with_floor(problem, best.model)
         fit = refit(problem, best.model, scope)
     problem, fit = _ended(problem, fit, [*tried, *aside], scope)
-    return Found(fit, problem, tuple(steps), gains, _earned(problem, fit, scope, steps), unknown, tolerated, sight)
+    earned = _earned(problem, fit, scope, steps)
+    return Found(fit, problem, tuple(steps), gains, earned, unknown, tolerated, sight, faint)
 
 
 def _begun(
@@ -187,6 +192,14 @@ def _worthy(
             one.effect, gains[one.effect], worth[one.effect], tolerated, left, crumbs if one.effect in dim else {}
         )
     ]
+
+
+def _faint(problem: Problem, fit: Fit, screen: Screen, promised: tuple[Sequence[Candidate], Array]) -> dict[str, float]:
+    """By how much each smooth candidate's promise falls short of what it must bring."""
+    gains, left, crumbs = _best_of(*promised), _excess(fit), _crumbs(problem, fit)
+    dim, smooth = screen.dim(promised[0]), {one.effect for one in promised[0] if one.smooth}
+    least = {name: _least(name, MATERIAL, left, crumbs if name in dim else {}) for name in smooth}
+    return {name: max(least[name] - gains[name], 0.0) for name in smooth}
 
 
 def screened(problem: Problem, fit: Fit, fresh: Sequence[Candidate], scope: str) -> tuple[Problem, Fit, Screen]:

@@ -28,7 +28,7 @@ from core.formats import read_run  # noqa: E402
 from core.gap import Diagnosis, diagnose  # noqa: E402
 from core.gap.candidates import candidates  # noqa: E402
 from core.gap.checks import check_runs  # noqa: E402
-from core.gap.conclude import SURE_NONE  # noqa: E402
+from core.gap.conclude import chance_of_none  # noqa: E402
 from core.gap.floor import Floor  # noqa: E402
 from core.gap.judged import judged  # noqa: E402
 from core.gap.leftover import chance_of_unknown  # noqa: E402
@@ -127,7 +127,7 @@ def identify(runs: Sequence[Run]) -> Brief:
     causes = tuple(sorted(causes, key=lambda c: -c.probability))
     sure = any(c.probability > 0.5 for c in causes)
     strange = max(chance_of_unknown(one.found), *said.doubt.values(), 0.0)
-    chances = {"unknown": strange, "none": 0.0 if sure or said.unexplained else SURE_NONE * (1.0 - strange)}
+    chances = {"unknown": strange, "none": 0.0 if sure or said.unexplained else chance_of_none(strange, said.chances)}
     verdict = ("explained" if sure else "none") if said.unexplained is None else "partly" if sure else "unknown"
     small = tuple(Immaterial(name, {}) for name in one.found.trifles)
     return Brief(causes, chances, said.unexplained, small, verdict)
