@@ -11,8 +11,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from app.figures.gap_reasons import Line, plain
 from app.figures.gap_sentence import joint, regressor_name, stream_name, times
-from app.figures.gap_which import Line, across, regressor_unit, residual_unit, scaled
+from app.figures.gap_which import across, regressor_unit, residual_unit, scaled
 from app.figures.gap_words import edge, label, percent, quantity, share
 from app.figures.plot import Band, Curve, Plot, plot, tick_text
 from app.figures.units import significant
@@ -131,9 +132,10 @@ def spots(result: Result) -> list[Spot]:
     out = []
     for one in result["where"][:8]:
         place = one.get("place")
-        at = f", within {significant(place['radius'], 2)} m of ({place['x']:.1f}, {place['y']:.1f})" if place else ""
+        at = f", within {significant(place['radius'], 2)} m of x {place['x']:.1f}, y {place['y']:.1f}" if place else ""
         spans = tuple((float(a), float(b)) for a, b in one.get("intervals") or ())
-        said = f"{stream_name(one['stream'])}, {one['regime']}{at}"
+        while_ = "" if place and one["regime"] == "place" else f", {one['regime']}"
+        said = f"{stream_name(one['stream'])}{while_}{at}"
         out.append(Spot(said, share(one["share"]), p_text(one["p_value"]), spans))
     return out
 
@@ -272,18 +274,6 @@ def rms(by_stream: Mapping[str, Sequence[float | None]], n: int) -> list[float |
     return out
 
 
-def overlay_plot(run: Mapping[str, Any]) -> Plot | None:
-    """Real path, simulated and patched ones driven from the start in one go."""
-    free = run.get("free_run")
-    if not free or not free["paths"]:
-        return None
-    named = (("real", "g-real", free["real"]), ("simulated", "g-nominal", free["paths"][0]))
-    curves = [
-        Curve(name, style, p["x"], p["y"]) for name, style, p in (*named, ("patched", "g-patched", free["paths"][-1]))
-    ]
-    return plot(curves, x_label="x, m", y_label="y, m", width=460, height=340, equal=True)
-
-
 @dataclass(frozen=True)
 class Shape:
     """A curve of what is left."""
@@ -328,7 +318,9 @@ def left_facts(evidence: Evidence) -> list[str]:
 def nearest(evidence: Evidence) -> list[Line]:
     """Listed effects close to what is left."""
     rest = evidence.get("unexplained") or {}
-    return [Line(o["effect"], label(o["effect"]), o["reason"], share(o["takes"])) for o in rest.get("nearest") or ()]
+    return [
+        Line(o["effect"], label(o["effect"]), plain(o["reason"]), share(o["takes"])) for o in rest.get("nearest") or ()
+    ]
 
 
 def drive_plot(evidence: Evidence) -> Plot | None:

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from app.figures import gap, gap_which
-from app.figures.gap_sentence import regressor_name, stream_name
+from app.figures import gap, gap_free, gap_reasons, gap_which
+from app.figures.gap_sentence import above_floor, joint, regressor_name, stream_name, times
 from app.figures.gap_words import label, quantity
 from app.figures.plot import Plot
 from app.figures.units import significant
@@ -29,6 +29,7 @@ class RunFigures:
     path: Plot | None
     timeline: Plot | None
     overlay: Plot | None
+    driven: str  # how far simulated and patched paths end from the real one
 
 
 @dataclass(frozen=True)
@@ -59,17 +60,19 @@ class Parts:
     noise: list[Noise]
     chances: list[gap_which.Chance]
     found: list[gap_which.Found]
-    considered: list[gap_which.Line]
-    cannot_see: list[gap_which.Line]
-    immaterial: list[gap_which.Line]
+    considered: list[gap_reasons.Line]
+    weighed: int  # effects that are in `considered`, those that share a line too
+    cannot_see: list[gap_reasons.Line]
+    immaterial: list[gap_reasons.Line]
     far: gap.Far
     shrunk: str
     unexplained: str
     shapes: list[gap.Shape]
     left_facts: list[str]
-    nearest: list[gap_which.Line]
+    nearest: list[gap_reasons.Line]
     drive: Plot | None
     next: Mapping[str, Any] | None
+    why: str
     rivals: list[Rivals]
 
 
@@ -84,9 +87,10 @@ def parts(result: Mapping[str, Any], evidence: Mapping[str, Any] | None) -> Part
         noise=[_noise(one) for one in known["noise_floor"]],
         chances=gap_which.chances(result, known),
         found=gap_which.found(result, known),
-        considered=gap_which.considered(result, known),
-        cannot_see=gap_which.cannot_see(result, known),
-        immaterial=gap_which.immaterial(result),
+        considered=gap_reasons.considered(result, known),
+        weighed=len(known["considered"] or result.get("rejected") or ()),
+        cannot_see=gap_reasons.cannot_see(result, known),
+        immaterial=gap_reasons.immaterial(result),
         far=gap.far(result),
         shrunk=gap.shrunk(result),
         unexplained=_unexplained(result),
@@ -95,6 +99,7 @@ def parts(result: Mapping[str, Any], evidence: Mapping[str, Any] | None) -> Part
         nearest=gap.nearest(known),
         drive=gap.drive_plot(known),
         next=drive or result.get("next_experiment"),
+        why=gap_reasons.plain((drive or result.get("next_experiment") or {}).get("reason", "")),
         rivals=[
             Rivals(" or ".join(map(label, r["pair"])), f"{r['chance_now']:.2f}", f"{r['chance_after']:.2f}")
             for r in (drive or {}).get("rivals") or ()
@@ -106,23 +111,30 @@ def runs(evidence: Mapping[str, Any] | None) -> list[RunFigures]:
     """The single runs' figures, drawn on the server."""
     return [
         RunFigures(
-            run["name"], bool(run["held_out"]), gap.path_plot(run), gap.timeline_plot(run), gap.overlay_plot(run)
+            run["name"], bool(run["held_out"]), gap.path_plot(run), gap.timeline_plot(run), gap_free.overlay_plot(run),
+            gap_free.told(run),
         )
         for run in (evidence or {}).get("runs") or ()
-    ]
+    ]  # fmt: skip
 
 
 def _unexplained(result: Mapping[str, Any]) -> str:
-    rest = result.get("unexplained")
-    if not rest:
-        return ""
-    names = " and ".join(dict.fromkeys(regressor_name(name) for name in rest["depends_on"]))
-    by = f", depending on {names}" if names else ""
-    told = (rest.get("description") or "").rstrip(".")
-    return f"No listed effect explains the {stream_name(rest['stream'])}{by}." + (f" {told}." if told else "")
+    rest, left = result.get("unexplained"), result["gap"]
+    if rest:
+        names = " and ".join(dict.fromkeys(regressor_name(name) for name in rest["depends_on"]))
+        by = f", which depends on {names}" if names else ""
+        told = gap_reasons.described(rest.get("description") or "")
+        return f"No listed effect explains what is left in the {stream_name(rest['stream'])}{by}. {told}".rstrip()
+    if joint(result) and above_floor(left):
+        return (
+            f"With the effects added the gap is still {times(left['after'])} times the noise, over a floor of "
+            f"{times(left['floor'])}. What is left has no shape that these runs show: neither a listed effect nor a "
+            "curve over speed, turning, time, place or temperature takes it."
+        )
+    return ""
 
 
 def _noise(one: Mapping[str, Any]) -> Noise:
     ratio, sd = one.get("ratio"), one.get("ratio_sd")
     told = "not stated" if ratio is None else f"{significant(ratio)}{f' ± {significant(sd, 2)}' if sd else ''} times"
-    return Noise(stream_name(one["stream"]), quantity(one["sigma"], one["unit"]), told)
+    return Noise(stream_name(one["stream"]), quantity(one["sigma"], one["unit"], hourly=False), told)

@@ -11,6 +11,8 @@ from app.figures.units import significant
 JOINT = 0.5  # causes above this probability are the joint explanation (gap/1)
 SURE = 0.9  # below this the rivals are named too
 NAMED = 3  # causes by name; more are counted
+LITTLE = 0.005  # of the gap: below this a cause is counted, not named
+MOST = 0.8  # of the gap: below this its part is said
 AT_FLOOR = 1.25  # times the floor: nothing to speak of above it
 
 VERDICTS = {
@@ -70,7 +72,7 @@ def headline(result: Mapping[str, Any]) -> str:
     causes = joint(result)
     if result["verdict"] == "none" or not causes:
         return VERDICTS.get(str(result["verdict"]), str(result["verdict"]))
-    shown = ", ".join(f"{label(c['effect'])} {share(part)}" for c, part in _parts(causes, result["gap"])[:NAMED])
+    shown = ", ".join(f"{label(c['effect'])} {share(part)}" for c, part in parts_of(causes, result["gap"])[:NAMED])
     more = f" and {len(causes) - NAMED} more" if len(causes) > NAMED else ""
     return shown + more + ("; a part unknown" if result["verdict"] == "partly_explained" else "")
 
@@ -104,7 +106,7 @@ def _whose(gap: Mapping[str, Any]) -> str:
     return "the held-out error" if gap["held_out"] else "the error of these runs"
 
 
-def _parts(causes: Sequence[Mapping[str, Any]], gap: Mapping[str, Any]) -> list[tuple[Mapping[str, Any], float]]:
+def parts_of(causes: Sequence[Mapping[str, Any]], gap: Mapping[str, Any]) -> list[tuple[Mapping[str, Any], float]]:
     """Each cause with its part of the gap: of what is explained, times how much of the gap that is.
 
     Shares are what leaving a cause out brings back; of causes that act in the same streams they add up to more than
@@ -117,16 +119,19 @@ def _parts(causes: Sequence[Mapping[str, Any]], gap: Mapping[str, Any]) -> list[
 
 
 def _explains(causes: Sequence[Mapping[str, Any]], gap: Mapping[str, Any]) -> str:
-    parts = _parts(causes, gap)
+    parts = parts_of(causes, gap)
     if len(parts) == 1:
         cause, part = parts[0]
-        of = f"{share(part)} of the gap" if part >= 0.005 else "next to nothing of the gap"
+        of = f"{share(part)} of the gap" if part >= LITTLE else "next to nothing of the gap"
         return f"{_capital(label(cause['effect']))} explains {of} (probability {cause['probability']:.2f})"
-    named = [f"{label(cause['effect'])} ({share(part)})" for cause, part in parts[:NAMED]]
-    if len(parts) > NAMED:
-        named.append(f"{len(parts) - NAMED} smaller {'effect' if len(parts) == NAMED + 1 else 'effects'}")
+    large = [(cause, part) for cause, part in parts[:NAMED] if part >= LITTLE] or parts[:1]
+    named = [f"{label(cause['effect'])} ({share(part)})" for cause, part in large]
+    if rest := len(parts) - len(large):
+        named.append(f"{rest} smaller {'effect' if rest == 1 else 'effects'}")
+    whole = sum(part for _, part in parts)
+    of = "the gap" if whole >= MOST else f"{share(whole)} of the gap"
     least = min(cause["probability"] for cause in causes)
-    return f"{_capital(_listed(named))} explain the gap together (probability at least {least:.2f})"
+    return f"{_capital(_listed(named))} explain {of} together (probability at least {least:.2f})"
 
 
 def _remedy(causes: Sequence[Mapping[str, Any]], gap: Mapping[str, Any]) -> str:
@@ -135,9 +140,16 @@ def _remedy(causes: Sequence[Mapping[str, Any]], gap: Mapping[str, Any]) -> str:
     if before is None or after is None:
         return f"{what}; these runs give no measure of what that brings"
     verb = "falls" if after < 0.995 * before else "rises" if after > 1.005 * before else "stays"
+    floor = f" (floor {times(gap['floor'])})" if above_floor(gap) else ""
     if verb == "stays":
-        return f"{what}, though {_whose(gap)} stays at {times(before)} times the noise"
-    return f"{what} and {_whose(gap)} {verb} from {times(before)} to {times(after)} times the noise"
+        return f"{what}, though {_whose(gap)} stays at {times(before)} times the noise{floor}"
+    return f"{what} and {_whose(gap)} {verb} from {times(before)} to {times(after)} times the noise{floor}"
+
+
+def above_floor(gap: Mapping[str, Any]) -> bool:
+    """Whether a gap worth a word remains once the causes are added."""
+    after, floor = gap["after"], gap["floor"]
+    return after is not None and floor is not None and after > AT_FLOOR * max(floor, 1e-9)
 
 
 def _doubt(causes: Sequence[Mapping[str, Any]], result: Mapping[str, Any]) -> str:

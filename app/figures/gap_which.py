@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from app.figures.gap_sentence import JOINT, regressor_name, stream_name
+from app.figures.gap_sentence import JOINT, joint, parts_of, regressor_name, stream_name
 from app.figures.gap_words import as_set, difference, digits_of, edge, label, quantity, share
 from app.figures.plot import Band, Curve, Plot, plot
 from core.effects import EFFECTS
@@ -51,22 +51,13 @@ class Found:
     equation: str
     setting: str
     probability: str
+    part: str
     share: str
     sizes: tuple[Size, ...]
     confusable: tuple[str, ...]
     joint: bool
     signature: Plot | None
     signature_of: str
-
-
-@dataclass(frozen=True)
-class Line:
-    """An effect with a word on it."""
-
-    effect: str
-    label: str
-    text: str
-    number: str = ""
 
 
 def chances(result: Result, evidence: Evidence) -> list[Chance]:
@@ -98,10 +89,11 @@ def chances(result: Result, evidence: Evidence) -> list[Chance]:
 
 def found(result: Result, evidence: Evidence) -> list[Found]:
     """The causes with their sizes and signatures."""
-    return [_found(cause, evidence) for cause in result["causes"]]
+    of_gap = {cause["effect"]: part for cause, part in parts_of(joint(result), result["gap"])}
+    return [_found(cause, of_gap.get(cause["effect"]), evidence) for cause in result["causes"]]
 
 
-def _found(cause: Mapping[str, Any], evidence: Evidence) -> Found:
+def _found(cause: Mapping[str, Any], part: float | None, evidence: Evidence) -> Found:
     effect = cause["effect"]
     signature = (evidence.get("signatures") or {}).get(effect)
     return Found(
@@ -111,6 +103,7 @@ def _found(cause: Mapping[str, Any], evidence: Evidence) -> Found:
         EFFECTS[effect].equation if effect in EFFECTS else "",
         as_set(effect, cause["parameters"]),
         f"{cause['probability']:.2f}",
+        share(part),
         share(cause["share"]),
         sizes(effect, cause["parameters"]),
         tuple(label(name) for name in cause.get("confusable_with") or ()),
@@ -130,10 +123,16 @@ def sizes(effect: str, parameters: Mapping[str, Mapping[str, Any]]) -> tuple[Siz
         if std is not None and isinstance(value, int | float):
             digits = digits_of(value, std)
             lo, hi = value - Z90 * std, value + Z90 * std
-            interval = " to ".join(quantity(v, unit, digits_of(v, std)) for v in (lo, hi))
+            interval = between(*(quantity(v, unit, digits_of(v, std)) for v in (lo, hi)))
         si = f"{value} {unit}".strip() + (f", sd {std:.3g}" if std is not None else "")
         out.append(Size(name, quantity(value, unit, digits), interval, si))
     return tuple(out)
+
+
+def between(lo: str, hi: str) -> str:
+    """`1.2 to 1.8 m`: a unit that both have is said once."""
+    head, gap, unit = lo.partition(" ")
+    return f"{head} to {hi}" if gap and hi.partition(" ")[2] == unit else f"{lo} to {hi}"
 
 
 def signature_plot(one: Mapping[str, Any], width: float = 360.0, height: float = 170.0) -> Plot:
@@ -191,39 +190,3 @@ REGRESSORS = {
     "right wheel angle": "rad",
 }  # fmt: skip
 """What residuals are set against, with SI units."""
-
-
-def considered(result: Result, evidence: Evidence) -> list[Line]:
-    """What was explained away, the nearest first; else what the answer says of it."""
-    rows = evidence.get("considered") or ()
-    if rows:
-        ranked = sorted(rows, key=lambda one: -(one.get("takes") or 0.0))
-        return [Line(o["effect"], label(o["effect"]), o["reason"], share(o["takes"])) for o in ranked]
-    return [Line(o["effect"], label(o["effect"]), o["reason"]) for o in result.get("rejected") or ()]
-
-
-def cannot_see(result: Result, evidence: Evidence) -> list[Line]:
-    """What these runs could not have shown, and from which size on they could."""
-    out = []
-    for one in evidence.get("cannot_see") or result.get("unseen") or ():
-        effect, parameter = one["effect"], one["parameter"]
-        unit = one.get("unit")
-        if unit is None:
-            unit = (
-                next((p.unit for p in EFFECTS[effect].parameters if p.name == parameter), "")
-                if effect in EFFECTS
-                else ""
-            )
-        size = one.get("visible_from")
-        text = f"{parameter}: from {quantity(size, unit)} on" if size is not None else f"{parameter}: at no size"
-        out.append(Line(effect, label(effect), text, "" if size is None else quantity(size, unit)))
-    return out
-
-
-def immaterial(result: Result) -> list[Line]:
-    """What is real but below its tolerance."""
-    out = []
-    for one in result.get("immaterial") or ():
-        told = ", ".join(f"{s.name} {s.value}" for s in sizes(one["effect"], one["parameters"]))
-        out.append(Line(one["effect"], label(one["effect"]), told))
-    return out

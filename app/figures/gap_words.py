@@ -94,7 +94,9 @@ def _reach(v: Mapping[str, Any]) -> str:
 
 
 def _missed(v: Mapping[str, Any]) -> str:
-    return f"The encoders miss {percent(v['left'])} of the left wheel's ticks and {percent(v['right'])} of the right's."
+    told = [f"{percent(abs(part))} {'of its ticks' if part >= 0 else 'too many'}" for part in (v["left"], v["right"])]
+    verbs = ["misses" if part >= 0 else "counts" for part in (v["left"], v["right"])]
+    return f"The left encoder {verbs[0]} {told[0]}, the right one {verbs[1]} {told[1]}."
 
 
 def _bump(v: Mapping[str, Any]) -> str:
@@ -159,21 +161,25 @@ WORDS: dict[str, Callable[[Mapping[str, Any]], str]] = {
 """By effect, from its values: what differs, seen from robot or simulator, whichever is plainer."""
 
 
-def quantity(value: float | str | None, unit: str, digits: int = 3) -> str:
-    """A parameter's value as people read it, in `digits` significant digits."""
+def quantity(value: float | str | None, unit: str, digits: int = 3, hourly: bool = True) -> str:
+    """A parameter's value as people read it, in `digits` significant digits; slow turning `hourly`, as a bias is."""
     if value is None or isinstance(value, str):
         return value or "no limit"
     factor, shown = edge(unit)
-    if unit == "rad/s" and 0 < abs(value) < math.radians(1.0):
+    if hourly and unit == "rad/s" and 0 < abs(value) < math.radians(1.0):
         factor, shown = factor * 3600.0, "°/h"
-    elif unit in SMALL and 0 < abs(value) < SMALL[unit][0]:
-        _, factor, shown = SMALL[unit]
+    elif steps := [step for step in SMALL.get(unit, ()) if 0 < abs(value) < step[0]]:
+        _, factor, shown = steps[-1]
     gap = "" if shown in ("", "°") else " "
     return f"{significant(factor * value, digits)}{gap}{shown}"
 
 
-SMALL = {"m": (0.1, 100.0, "cm"), "s": (1.0, 1000.0, "ms"), "m/s": (0.1, 100.0, "cm/s")}
-"""Below which size another unit reads better."""
+SMALL = {
+    "m": ((0.1, 100.0, "cm"), (0.001, 1000.0, "mm")),
+    "s": ((1.0, 1000.0, "ms"),),
+    "m/s": ((0.1, 100.0, "cm/s"), (0.001, 1000.0, "mm/s")),
+}
+"""Below which sizes other units read better, the smallest last."""
 
 
 def edge(unit: str) -> tuple[float, str]:

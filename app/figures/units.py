@@ -26,7 +26,9 @@ def angle(radians: float) -> str:
 
 
 def bias(radians_per_second: float) -> str:
-    """Degrees per hour, as a gyro's bias and its drift are told."""
+    """Degrees per hour, as a gyro's bias and its drift are told; a very large one in degrees per second."""
+    if abs(radians_per_second) >= math.radians(1.0):
+        return f"{significant(math.degrees(radians_per_second), 2)}°/s"
     return f"{significant(math.degrees(radians_per_second) * 3600, 2)} °/h"
 
 

@@ -158,7 +158,7 @@ def _of_run(run_id: str) -> Select[Any]:
 
 
 def _default_name(robot: str | None, runs: Sequence[Run]) -> str:
-    of = runs[0].name if len(runs) == 1 else f"{len(runs)} runs"
+    of = runs[0].name if len(runs) == 1 else f"{runs[0].name} and {len(runs) - 1} more"
     return f"{robot}: {of}"[:NAME_LENGTH] if robot else of
 
 

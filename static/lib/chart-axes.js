@@ -25,13 +25,31 @@ export function tick(value, step) {
   return fixed(value, decimals(step)).replace("-", "−");
 }
 
-// 4 significant digits: what a legend shows.
+const RAISED = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶", 7: "⁷", 8: "⁸", 9: "⁹" };
+
+// 3.1 × 10⁻⁵: a number whose size is far from 1.
+function power(value, digits) {
+  const [head, exponent] = value.toExponential(digits).split("e");
+  return `${head.replace("-", "−")} × 10${[...String(Number(exponent))].map((c) => RAISED[c]).join("")}`;
+}
+
+// 4 significant digits, by itself.
 export function number(value) {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";
   if (value === 0) return "0";
   const size = Math.abs(value);
-  const text = size >= 1e5 || size < 1e-4 ? value.toExponential(2) : value.toFixed(Math.max(0, 3 - Math.floor(Math.log10(size))));
-  return text.replaceAll("-", "−");
+  if (size >= 1e7 || size < 1e-4) return power(value, 2);
+  return fixed(value, Math.max(0, 3 - Math.floor(Math.log10(size)))).replace("-", "−");
+}
+
+// A reading beside its axis: as fine as a ten-thousandth of what the axis shows, so that what is next to nothing there
+// is told as 0, and digits do not dance while the time runs. On a logarithmic axis three significant digits.
+export function reading(value, range, log = false) {
+  if (value === null || value === undefined || Number.isNaN(value)) return "–";
+  const step = (range[1] - range[0]) * 1e-4;
+  if (log || !(step > 0) || step < 1e-7) return number(value);
+  if (Math.abs(value) < step / 2) return "0";
+  return fixed(value, decimals(10 ** Math.ceil(Math.log10(step)))).replace("-", "−");
 }
 
 export function timeText(t, step = 0.01, span = Infinity) {

@@ -18,7 +18,7 @@
 // Touch: drag pans, two fingers zoom. Keyboard, when focused: arrows move the time, + - zoom, Home shows all.
 
 import uPlot from "../vendor/uPlot.esm.js";
-import { axes, count, number, tick, timeText, timeUnit } from "./chart-axes.js";
+import { axes, count, number, reading as legible, tick, timeText, timeUnit } from "./chart-axes.js";
 import { bandExtent, breakAtGaps, extent, merge, settledExtent, valueAt } from "./chart-data.js";
 import { drawMarks, drawUnder } from "./chart-draw.js";
 import { buildFrame, legendItem, summaryTable } from "./chart-frame.js";
@@ -265,7 +265,7 @@ export function createChart(host, spec) {
     for (const s of spec.series) {
       const reading = current.readings.get(s.key);
       const value = t === null || !reading ? null : valueAt(reading, t);
-      frame.legend.get(s.key).value.textContent = value === null ? "–" : number(value);
+      frame.legend.get(s.key).value.textContent = value === null ? "–" : legible(value, [plot.scales.y.min, plot.scales.y.max], log.y);
     }
     const span = clock.full[1];
     const when = spec.clock ? `${timeText(t, 0.01, span)} ${timeUnit(span)}` : t === null ? "" : `${number(t)} ${spec.xUnit ?? ""}`;

@@ -3,6 +3,8 @@
 import { $, h } from "../lib/dom.js";
 import { createChart } from "../lib/chart.js";
 import { createMap } from "../lib/map.js";
+import { seriesSwatch } from "../lib/chart-frame.js";
+import { length } from "../lib/format.js";
 import { createTimeCursor } from "../lib/timecursor.js";
 import { mountGapScene } from "./diagnosis-scene.js";
 import { level, levelColour } from "./gap-levels.js";
@@ -137,8 +139,12 @@ function overlayMap(run, clock, fileName, first, moved) {
 
   const paint = () => {
     $("#share-now").textContent = `${slider.value} %`;
-    map.setPaths([{ method: "real", ...REAL, t, ...real }, { method: "simulated", ...NOMINAL, t, ...paths[0] }, { method: "patched", ...PATCHED, label: `with ${slider.value} % of the effects`, ...mixed() }], []);
+    const shown = mixed();
+    $("#overlay-told").textContent = apart(real, paths[0], Number(slider.value) ? shown : null, Number(slider.value));
+    map.setPaths([{ method: "real", ...REAL, t, ...real }, { method: "simulated", ...NOMINAL, t, ...paths[0] }, { method: "patched", ...PATCHED, label: `with ${slider.value} % of the effects`, ...shown }], []);
   };
+  const named = [REAL, { ...NOMINAL, label: "simulated, as it is" }, { ...PATCHED, label: "simulated, with the effects" }];
+  $("#overlay-legend").replaceChildren(...named.map((one) => h("span", {}, seriesSwatch(one), one.label)));
   const onInput = () => (paint(), moved());
   slider.addEventListener("input", onInput);
   map.setLead("real");
@@ -152,6 +158,15 @@ function overlayMap(run, clock, fileName, first, moved) {
       map.destroy();
     },
   };
+}
+
+// How far the paths are from the real one: at the end, and on the whole.
+function apart(real, simulated, patched, share) {
+  const away = ({ x, y }) => {
+    const known = real.x.map((v, i) => (v === null || x[i] === null ? null : Math.hypot(x[i] - v, y[i] - real.y[i]))).filter((v) => v !== null);
+    return known.length ? `${length(known.at(-1)).text} at the end (rms ${length(Math.sqrt(known.reduce((sum, v) => sum + v * v, 0) / known.length)).text})` : "unknown";
+  };
+  return `Driven in one go from the start, the simulator is ${away(simulated)} from the real path${patched ? `; with ${share} % of the effects ${away(patched)}` : ""}.`;
 }
 
 function strip(clock) {
