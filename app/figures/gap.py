@@ -238,7 +238,7 @@ def path_plot(run: Mapping[str, Any]) -> Plot | None:
             rows = slice(first, i + 1)
             curves.append(Curve("", f"g-path heat-{levels[first]}", path["x"][rows], path["y"][rows]))
             first = i
-    return plot(curves, x_label="x, m", y_label="y, m", width=460, height=340, equal=True)
+    return plot(curves, x_label="x, m", y_label="y, m", width=440, height=340, equal=True)
 
 
 def finest(run: Mapping[str, Any]) -> Mapping[str, Any] | None:

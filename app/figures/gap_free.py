@@ -21,7 +21,7 @@ def overlay_plot(run: Mapping[str, Any]) -> Plot | None:
     curves = [
         Curve(name, style, p["x"], p["y"]) for name, style, p in (*named, ("patched", "g-patched", free["paths"][-1]))
     ]
-    return plot(curves, x_label="x, m", y_label="y, m", width=460, height=340, equal=True)
+    return plot(curves, x_label="x, m", y_label="y, m", width=440, height=340, equal=True)
 
 
 def told(run: Mapping[str, Any]) -> str:

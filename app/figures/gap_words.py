@@ -39,7 +39,7 @@ def number_as_set(value: float, std: float | None) -> str:
         return "inf" if value > 0 else "-inf"
     if std and math.isfinite(std) and value:
         digits = max(1, math.floor(math.log10(abs(value))) - math.floor(math.log10(std)) + 1)
-        return f"{value:.{min(digits, 9)}g}"
+        return f"{float(f'{value:.{min(digits, 9)}g}'):.9g}"  # 50, not 5e+01
     return f"{value:.4g}"
 
 

@@ -92,8 +92,12 @@ def events_of(estimates: Sequence[Judged]) -> Judged | None:
 def _faults(case: Case) -> str:
     """What `fused`, else the first method that says so, found to be wrong with the run."""
     order = sorted(case.estimates, key=lambda e: e.method != "fused")
-    told = ([note for note in e.notes if any(word in note for word in FAULTS)] for e in order)
-    return " ".join(next((notes for notes in told if notes), [])[:MOST_FAULTS])
+    return " ".join(next((found for e in order if (found := faults(e.notes))), [])[:MOST_FAULTS])
+
+
+def faults(notes: Sequence[str]) -> list[str]:
+    """Of an estimate's notes, those that say that something is wrong with the run."""
+    return [note for note in notes if any(word in note for word in FAULTS)]
 
 
 def _name(method: str) -> str:

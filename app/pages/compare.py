@@ -106,7 +106,7 @@ def sentence(method: str | None, runs: Sequence[Compared]) -> str:
         return "Choose two to eight runs in the list, then Compare."
     if method is None:
         return "Nothing to compare yet: none of these runs has an estimate."
-    label = METHODS[method].label if method in METHODS else method
+    label = method.replace("+", " + ")
     errors = [(e["metrics"].get("ate_rmse_m", {}).get("value"), r) for r in runs if (e := r.estimates.get(method))]
     judged = sorted(((ate, run) for ate, run in errors if ate is not None), key=lambda pair: pair[0])
     if not judged:

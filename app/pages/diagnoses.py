@@ -13,9 +13,10 @@ from app.api.diagnosis_rows import summaries
 from app.db.session import reading
 from app.db.tables import Run
 from app.figures.gap_sentence import VERDICTS
+from app.figures.verdict import faults
 from app.pages.base import Page, render, route
 from app.simulators import OURS, RECORDED
-from app.store import beside
+from app.store import beside, results
 from app.store import diagnoses as store
 from app.store import jobs as job_store
 from core.effects import EFFECTS
@@ -49,13 +50,14 @@ def diagnoses(
         rows = store.list_diagnoses(session, limit=store.MAX_LISTED)
         active = job_store.list_jobs(session, states=["active"], limit=job_store.MAX_LISTED)
         offered = _offered(session, wanted)
+        notes = results.notes_by_run(session, [run.id for run in offered])
         sims = [RECORDED] if any(beside.KEY in run.source for run in offered) else []
         page = DiagnosesPage(
             title="Diagnoses",
             sentence=sentence([row.verdict for row in rows], len({row.robot for row in rows if row.robot})),
             diagnoses=[one.model_dump(mode="json") for one in summaries(session, rows)],
             jobs=[job_store.as_dict(job) for job in active if job.kind == "diagnose"],
-            runs=[_choice(run) for run in offered],
+            runs=[_choice(run, faults(notes.get(run.id, ()))) for run in offered],
             effects=_sizes(),
             verdicts=VERDICTS,
             simulators=[OURS, *sims, *request.app.state.sandbox.simulators()],
@@ -84,7 +86,7 @@ def _offered(session: Session, wanted: list[str]) -> list[Run]:
     return [*named, *newest]
 
 
-def _choice(run: Run) -> dict[str, Any]:
+def _choice(run: Run, wrong: list[str]) -> dict[str, Any]:
     return {
         "id": run.id,
         "name": run.name,
@@ -92,6 +94,7 @@ def _choice(run: Run) -> dict[str, Any]:
         "duration_s": run.duration_s,
         "streams": run.stream_names.split(),
         "verdict": run.verdict,
+        "faults": wrong,
         "created_at": run.created_at.isoformat(),
     }
 

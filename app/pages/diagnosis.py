@@ -12,16 +12,19 @@ from app.api.diagnosis_rows import detail
 from app.db.session import reading
 from app.exports.effects import TARGETS
 from app.figures.gap_report import parts, runs
+from app.figures.verdict import faults
 from app.pages.base import Page, environment, render, route
 from app.paths import STATIC
 from app.store import diagnoses as store
+from app.store import results
 
 router = APIRouter()
 
 
 @dataclass(frozen=True)
 class DiagnosisPage(Page):
-    """`diagnosis` and `evidence` as the API has them; `drawn`: figures that the server draws; `targets` of a patch."""
+    """`diagnosis` and `evidence` as the API has them; `drawn`: figures that the server draws; `targets` of a patch;
+    `faults`: what is wrong with the readings of each run, by the run's name."""
 
     template: ClassVar[str] = "diagnosis.html"
     place: ClassVar[str] = "diagnoses"
@@ -29,6 +32,7 @@ class DiagnosisPage(Page):
     evidence: dict[str, Any] | None
     drawn: Any
     targets: list[dict[str, str]]
+    faults: dict[str, list[str]]
 
 
 @route(router, "/diagnoses/{diagnosis_id}")
@@ -37,6 +41,7 @@ def diagnosis(request: Request, diagnosis_id: str) -> Response:
         row = store.get_diagnosis(session, diagnosis_id, evidence=True)
         found = detail(session, row).model_dump(mode="json")
         evidence = row.evidence
+        notes = results.notes_by_run(session, row.run_ids)
     page = DiagnosisPage(
         found["name"],
         found["sentence"],
@@ -44,6 +49,7 @@ def diagnosis(request: Request, diagnosis_id: str) -> Response:
         evidence,
         parts(found["result"], evidence),
         [{"name": name, "label": t.label, "what": t.what} for name, t in TARGETS.items()],
+        {r["name"]: told for r in found["runs"] if (told := faults(notes.get(r["id"], ())))},
     )
     return render(request, page)
 

@@ -13,7 +13,7 @@ from sqlalchemy.orm import Session
 
 from app.db.session import reading
 from app.db.tables import Estimate, Run
-from app.figures.verdict import Case, Judged, events_of, lead_of, verdict
+from app.figures.verdict import Case, Judged, events_of, faults, lead_of, verdict
 from app.pages.base import Page, render, route
 from app.store import arrays, events, live, results, runs
 from app.store import jobs as job_store
@@ -35,7 +35,8 @@ TRUTH_EXPORTS = (
 @dataclass(frozen=True)
 class RunPage(Page):
     """`run`, `estimates` (newest per method), `methods` (why each cannot run, else None), `jobs` (newest first), `lead`
-    (the method that speaks for the run), `event_method` (whose events are the run's), `neighbours` (ids of the newer
+    (the method that speaks for the run), `event_method` (whose events are the run's), `faults` (what is wrong with its
+    readings), `neighbours` (ids of the newer
     and the older run), `exports`.
     """
 
@@ -47,6 +48,7 @@ class RunPage(Page):
     jobs: list[dict[str, Any]]
     lead: str | None
     event_method: str | None
+    faults: list[str]
     neighbours: dict[str, str | None]
     exports: list[dict[str, str]]
 
@@ -73,6 +75,7 @@ def run_page(request: Request, run_id: str) -> Response:
             jobs=jobs,
             lead=lead_of(case.estimates).method if case.estimates else None,
             event_method=speaks.method if speaks else None,
+            faults=faults([note for e in estimates if e.method == "fused" for note in e.notes]),
             neighbours=_neighbours(session, row),
             exports=_exports(row),
         )

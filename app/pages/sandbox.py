@@ -16,16 +16,22 @@ from app.simulators import OURS, RECORDED
 from app.store import beside
 from app.store.runs import get_run
 from core.errors import ParameterError
+from core.simulation.foreign import Foreign
 from core.simulation.scenarios import SCENARIOS
 
 router = APIRouter()
 OFFERED = 200
 FIRST = "square-ccw"
+HELD = Foreign(RECORDED, lambda run, effects, seed: run, finished=True)
+"""What any recorded simulated run can take."""
 
 
 @dataclass(frozen=True)
 class SandboxPage(Page):
-    """source: {"run": id} or {"scenario": name}; runs, scenarios, simulators, targets: what can be chosen."""
+    """source: {"run": id} or {"scenario": name}; runs, scenarios, simulators, targets: what can be chosen.
+
+    refused: by simulator, the effects that it neither models nor can have put around it, with the reason.
+    """
 
     template: ClassVar[str] = "sandbox.html"
     place: ClassVar[str] = "sandbox"
@@ -33,6 +39,7 @@ class SandboxPage(Page):
     runs: list[dict[str, str]]
     scenarios: list[dict[str, str]]
     simulators: list[str]
+    refused: dict[str, dict[str, str]]
     targets: list[dict[str, str]]
 
 
@@ -48,6 +55,7 @@ def sandbox(request: Request, run: str | None = None, scenario: str | None = Non
         if run is not None and all(one["id"] != run for one in runs):
             runs.insert(0, {"id": run, "name": get_run(session, run).name})
         simulated = run is not None and beside.KEY in get_run(session, run).source
+    foreign = {**({RECORDED: HELD} if simulated else {}), **request.app.state.sandbox.simulators()}
     source: dict[str, Any] = {"run": run} if run else {"scenario": scenario or FIRST}
     page = SandboxPage(
         "Sandbox",
@@ -55,7 +63,8 @@ def sandbox(request: Request, run: str | None = None, scenario: str | None = Non
         source,
         runs,
         [{"name": s.name, "label": s.label} for s in SCENARIOS.values()],
-        [OURS, *([RECORDED] if simulated else []), *request.app.state.sandbox.simulators()],
+        [OURS, *foreign],
+        {name: one.refuses() for name, one in foreign.items()},
         [{"name": name, "label": t.label, "what": t.what} for name, t in TARGETS.items()],
     )
     return render(request, page)

@@ -29,7 +29,7 @@ from app.scene.style import BEACON, EVENT_OTHER, EVENTS, FIXES, THEME, THEMES, s
 
 MAX_BEACONS = 200
 MAX_EVENTS = 200
-CROWD = 1 / 10  # of the scene: events nearer to each other share one label
+CROWD = (0.3, 0.09)  # of the scene, along x and along y (away from the camera): nearer events share one label
 CANDIDATES = 240  # rows of a path where an ellipse may stand
 WIDEST = 0.2  # half axis of the widest ellipse drawn, as a share of the scene
 SIGMAS = 2.0
@@ -78,7 +78,7 @@ def add_run(server: viser.ViserServer, data: SceneData, theme: str | None = None
     with server.atomic():
         add_stage(server, data, sizes, theme)
         shown = data.events[:MAX_EVENTS]
-        names = event_labels(shown, sizes.extent.size * CROWD)
+        names = event_labels(shown, sizes.extent.size * CROWD[0], sizes.extent.size * CROWD[1])
         for i, event in enumerate(shown):
             add_event(scene, f"/world/events/{i}", event, sizes, names[i])
         if len(data.fixes):
@@ -145,18 +145,26 @@ def add_beacon(
     scene.add_label(f"{name}/label", text, position=(0, 0, z + sizes.unit * 1.4), anchor="bottom-center")
 
 
-def event_labels(events: Sequence[SceneEvent], apart: float) -> list[str]:
-    """A label per event, empty where one nearer than `apart` [m] speaks for it: `slip, collision × 2`."""
+def event_labels(events: Sequence[SceneEvent], wide: float, deep: float) -> list[str]:
+    """A label per event, empty where one that is no `wide` [m] along x and `deep` along y away speaks for it.
+
+    `slip × 3`, or with several kinds `slip × 3, 4 more`: a label must not grow into the next one.
+    """
     speakers: list[int] = []
     kinds: dict[int, Counter[str]] = {}
     for i, event in enumerate(events):
-        near = (j for j in speakers if np.hypot(events[j].x - event.x, events[j].y - event.y) < apart)
+        near = (j for j in speakers if abs(events[j].x - event.x) < wide and abs(events[j].y - event.y) < deep)
         speaker = next(near, i)
         if speaker == i:
             speakers.append(i)
         kinds.setdefault(speaker, Counter())[event.kind.replace("_", " ")] += 1
-    texts = {i: ", ".join(k if n == 1 else f"{k} × {n}" for k, n in count.items()) for i, count in kinds.items()}
-    return [texts.get(i, "") for i in range(len(events))]
+    return [_counted(kinds[i]) if i in kinds else "" for i in range(len(events))]
+
+
+def _counted(kinds: Counter[str]) -> str:
+    (kind, n), *rest = kinds.most_common()
+    told = kind if n == 1 else f"{kind} × {n}"
+    return f"{told}, {sum(more for _, more in rest)} more" if rest else told
 
 
 def add_event(scene: viser.SceneApi, name: str, event: SceneEvent, sizes: Layout, label: str) -> None:

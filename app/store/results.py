@@ -82,6 +82,12 @@ def latest_by_method(session: Session, run_id: str, methods: Collection[str] | N
     return found
 
 
+def notes_by_run(session: Session, run_ids: Collection[str], method: str = "fused") -> dict[str, list[str]]:
+    """What the newest estimate by a method remarked on each run; runs without one are left out."""
+    rows = select(Estimate.run_id, Estimate.notes).where(Estimate.run_id.in_(run_ids), Estimate.method == method)
+    return dict(session.execute(rows.order_by(Estimate.created_at, Estimate.id)).tuples().all())
+
+
 def _rank(method: str) -> int:
     from core.estimation.pipeline import METHODS
 

@@ -207,6 +207,7 @@ export function createChart(host, spec) {
       axes: axes({ ...look, ink: () => colour("--ink-2"), grid: () => colour("--line") }),
       series: [{}, ...spec.series.map(line)],
       hooks: {
+        setScale: [(u, key) => key === "y" && u === plot && drawCursors()], // readings are as fine as their axis
         drawAxes: [(u) => drawUnder(u, { gaps: current.gaps, events, bands: chart.bands, range: clock.range })],
         draw: [(u) => chart.visibleSeries.filter((s) => s.style === "marks").reverse().forEach((s) => drawMarks(u, current.readings.get(s.key), s, clock.range))],
       },

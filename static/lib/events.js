@@ -30,9 +30,14 @@ export function eventKind(kind) {
   return { label, color, path, about };
 }
 
+/** A remark with numbers as people write them: a true minus, and no sign before nothing. */
+export function legible(text) {
+  return text?.replace(/(^|[\s(])[+-](\d+(?:\.\d+)?)/g, (all, before, digits) => `${before}${Number(digits) === 0 ? "" : all.includes("-") ? "−" : "+"}${digits}`);
+}
+
 /** An event as it is drawn: label, color, path; `faint` where it was dismissed. */
 export function dressedEvent(event) {
-  return { ...event, ...eventKind(event.kind), faint: event.decision === "dismissed" };
+  return { ...event, ...eventKind(event.kind), evidence: legible(event.evidence), faint: event.decision === "dismissed" };
 }
 
 /** The mark as a small picture, for legends and lists. */

@@ -14,7 +14,10 @@ export function number(x, digits = 3) {
   if (!finite(x)) return NONE;
   const a = Math.abs(x);
   let out;
-  if (a !== 0 && (a < 1e-4 || a >= 1e9)) out = a.toExponential(digits - 1).replace("e-", " × 10^−").replace("e+", " × 10^");
+  if (a !== 0 && (a < 1e-4 || a >= 1e9)) {
+    const [head, power] = a.toExponential(digits - 1).split("e");
+    out = `${head} × 10${[...String(Number(power))].map((c) => RAISED[c]).join("")}`;
+  }
   else {
     const decimals = a === 0 ? 0 : Math.min(8, Math.max(0, digits - 1 - Math.floor(Math.log10(a))));
     out = a.toLocaleString("en", { minimumFractionDigits: decimals, maximumFractionDigits: decimals });
@@ -40,12 +43,16 @@ export function uncertain(x, sd) {
 function made(x, scale, unit, siUnit, digits = 3) {
   if (!finite(x)) return { text: NONE, value: NONE, unit: "", si: "" };
   const value = number(x * scale, digits);
-  const gap = unit && unit !== "°" && unit !== "%" ? " " : "";
+  const gap = unit && unit !== "°" ? " " : "";
   return { text: value + gap + unit, value, unit, si: siUnit && `${number(x, 5)} ${siUnit}` };
 }
 
-/** Metres; centimetres below 0.1 m. */
-export const length = (m) => (finite(m) && Math.abs(m) < 0.1 ? made(m, 100, "cm", "m", Math.abs(m) < 0.001 ? 1 : 2) : made(m, 1, "m", "m"));
+/** Metres; centimetres below 0.1 m, millimetres below 1 mm, and nothing below a micrometre. */
+export function length(m) {
+  const size = finite(m) ? Math.abs(m) : Infinity;
+  if (size < 1e-6) return { ...made(0, 100, "cm", "m"), si: `${number(m, 5)} m` };
+  return size < 0.001 ? made(m, 1000, "mm", "m", 2) : size < 0.1 ? made(m, 100, "cm", "m", 2) : made(m, 1, "m", "m");
+}
 export const angle = (rad) => made(rad, DEG, "°", "rad");
 export const turnRate = (rad_s) => made(rad_s, DEG, "°/s", "rad/s");
 /** Gyro bias and its drift. */
@@ -113,7 +120,7 @@ export function quantity(value, unit, name = "") {
 /** A formatted quantity as an element: the unit quieter than the number, SI and the term's explanation on hover. */
 export function show(q, term) {
   if (q.value === NONE) return h("span", { class: "dim" }, NONE);
-  const gap = q.unit && q.unit !== "°" && q.unit !== "%";
+  const gap = q.unit && q.unit !== "°";
   return h(
     "span",
     { class: "q", "data-term": term, "data-si": q.si || undefined, "data-hint": !term && q.si ? "" : undefined },

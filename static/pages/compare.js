@@ -3,7 +3,7 @@
 import { $, h, pageData, save, s } from "../lib/dom.js";
 import { api, problemNote, query } from "../lib/api.js";
 import { createChart } from "../lib/chart.js";
-import { duration, quantity, show } from "../lib/format.js";
+import { duration, percent, quantity, show } from "../lib/format.js";
 import { keys } from "../lib/keys.js";
 import { createMap } from "../lib/map.js";
 import { methodStyle, swatch } from "../lib/methods.js";
@@ -153,7 +153,7 @@ function metricRows() {
     const found = cells.map((c) => c?.value ?? null);
     const numbers = found.filter((v) => v !== null);
     const best = ERRORS.has(name) && numbers.length > 1 ? Math.min(...numbers.map(Math.abs)) : null;
-    return { name, found, row: h("tr", { class: same(found) ? "same" : "", "data-metric": name }, h("td", {}, h("span", { "data-term": name }, label(name))), cells.map((c) => h("td", { class: c && best !== null && Math.abs(c.value) === best ? "num best" : "num" }, c && c.value !== null ? show(quantity(c.value, c.unit, name)) : h("span", { class: "dim" }, "–")))) };
+    return { name, found, row: h("tr", { class: same(found) ? "same" : "", "data-metric": name }, h("td", {}, h("span", { "data-term": name }, label(name))), cells.map((c) => h("td", { class: c && best !== null && Math.abs(c.value) === best ? "num best" : "num" }, c && c.value !== null ? show(name === "nees_inside" ? percent(c.value) : quantity(c.value, c.unit, name)) : h("span", { class: "dim" }, "–")))) };
   });
   const runtime = runs.map((run) => run.estimates[page.method]?.runtime_s ?? null);
   if (!names.includes("runtime_s")) rows.push({ name: "runtime_s", found: runtime, row: h("tr", { "data-metric": "runtime_s" }, h("td", {}, h("span", { "data-term": "runtime_s" }, label("runtime_s"))), runtime.map((v) => h("td", { class: "num" }, show(quantity(v, "s"))))) });
@@ -162,7 +162,8 @@ function metricRows() {
   return rows;
 }
 
-const leafText = (value) => (value === null || value === undefined ? "–" : typeof value === "object" ? JSON.stringify(value) : String(value));
+const rounded = (key, value) => (typeof value === "number" ? Number(value.toPrecision(9)) : value); // 2.3, not 2.3000000000000003
+const leafText = (value) => (value === null || value === undefined ? "–" : typeof value === "object" ? JSON.stringify(value, rounded).replaceAll(",", ", ") : String(rounded("", value)));
 
 function descriptionRows() {
   const names = [...new Set(runs.flatMap((run) => Object.keys(run.description)))].filter((n) => n !== "format" && n !== "name");

@@ -2,7 +2,7 @@
 
 import { h } from "../lib/dom.js";
 import { duration, number, when } from "../lib/format.js";
-import { diagnose } from "./diagnose-job.js";
+import { diagnose, faultsNote } from "./diagnose-job.js";
 
 const SHOWN = 100;
 
@@ -22,6 +22,8 @@ export function diagnosePanel({ runs, effects, simulators, chosen, held }, onFou
   const more = h("button", { type: "button", class: "button quiet", onclick: () => addSize() }, "Set another size that matters");
   const byId = new Map(runs.map((r) => [r.id, r]));
 
+  const wrong = h("div", { "aria-live": "polite" });
+  const faults = () => [...fit, ...keep].map((id) => byId.get(id)).filter((r) => r?.faults.length).map((r) => [r.name, r.faults]);
   const robotOf = () => [...fit, ...keep].map((id) => byId.get(id)?.robot ?? null)[0];
 
   function rows() {
@@ -36,6 +38,8 @@ export function diagnosePanel({ runs, effects, simulators, chosen, held }, onFou
     const any = fit.size + keep.size > 0;
     const robot = robotOf();
     body.replaceChildren(...rows().map((r) => row(r, any && (r.robot ?? null) !== robot)));
+    const known = faults();
+    wrong.replaceChildren(...(known.length ? [faultsNote(known)] : []));
     go.disabled = fit.size === 0;
     go.textContent = fit.size ? `Diagnose ${fit.size} ${fit.size === 1 ? "run" : "runs"}` : "Diagnose";
     told.textContent = !fit.size ? "Tick at least one run to fit." : keep.size ? `${keep.size} held out: they only judge.` : "None held out: stretches of the same runs judge, which flatters a little.";
@@ -52,7 +56,7 @@ export function diagnosePanel({ runs, effects, simulators, chosen, held }, onFou
       });
       return h("td", { class: "pick" }, box);
     };
-    return h("tr", { "data-run": r.id, class: off ? "off" : "", "data-hint": off ? "Of another robot than the chosen runs." : undefined }, tick(fit, keep, "Fit"), tick(keep, fit, "Hold out"), h("td", { class: "wide" }, r.name), h("td", {}, r.robot ?? h("span", { class: "dim" }, "no robot")), h("td", { class: "num" }, duration(r.duration_s).text), h("td", { class: "dim" }, r.streams.join(" ")), h("td", { class: "dim" }, when(r.created_at).text));
+    return h("tr", { "data-run": r.id, class: off ? "off" : "", "data-hint": off ? "Of another robot than the chosen runs." : undefined }, tick(fit, keep, "Fit"), tick(keep, fit, "Hold out"), h("td", { class: "wide" }, r.name, r.faults.length ? [" ", h("span", { class: "chip amber", "data-hint": r.faults.join(" "), tabindex: "0" }, "faulty readings")] : ""), h("td", {}, r.robot ?? h("span", { class: "dim" }, "no robot")), h("td", { class: "num" }, duration(r.duration_s).text), h("td", { class: "dim" }, r.streams.join(" ")), h("td", { class: "dim" }, when(r.created_at).text));
   }
 
   function addSize() {
@@ -84,6 +88,7 @@ export function diagnosePanel({ runs, effects, simulators, chosen, held }, onFou
     h("div", { class: "choose" }, h("table", { class: "table" }, h("thead", {}, h("tr", {}, h("th", { class: "pick", "data-term": "gap_fitted" }, "Fit"), h("th", { class: "pick", "data-term": "gap_held_out" }, "Hold out"), h("th", {}, "Run"), h("th", {}, "Robot"), h("th", { class: "num" }, "Length"), h("th", {}, "Streams"), h("th", {}, "When"))), body)),
     h("details", {}, h("summary", { class: "dim", "data-term": "gap_tolerance" }, "What matters, seed, name"), list, more, h("div", { class: "options" }, h("label", { class: "field" }, "Seed", seed), h("label", { class: "field" }, "Name", name))),
     h("p", { class: "row dim" }, "Against the simulator", simulators.length > 1 ? simulator : h("b", {}, simulators[0]), "with what the runs' own simulator.effects say it models already."),
+    wrong,
     h("div", { class: "row" }, go),
     note,
   );
@@ -92,7 +97,7 @@ export function diagnosePanel({ runs, effects, simulators, chosen, held }, onFou
     event.preventDefault();
     go.disabled = true;
     const options = { simulator: simulator.value, tolerances: tolerances(), seed: Math.max(0, Math.floor(Number(seed.value) || 0)), ...(name.value.trim() ? { name: name.value.trim() } : {}) };
-    const id = await diagnose(note, { runs: [...fit], held_out: [...keep], options });
+    const id = await diagnose(note, { runs: [...fit], held_out: [...keep], options }, faults());
     if (id) onFound(id);
     paint();
   });

@@ -2,7 +2,7 @@
 // connection. Written at most five times a second: they are for reading.
 
 import { h, icon } from "../lib/dom.js";
-import { eventKind, eventSwatch } from "../lib/events.js";
+import { eventKind, eventSwatch, legible } from "../lib/events.js";
 import { angle, duration, length, number, seconds, show } from "../lib/format.js";
 import { METHOD_KEYS, methodStyle, swatch } from "../lib/methods.js";
 
@@ -114,7 +114,7 @@ export function tellEvents(host, events) {
   return host.replaceChildren(...newest.map((e) => {
     const { label, about } = eventKind(e.kind);
     const lasted = e.t1 === null ? "going on" : `for ${seconds(e.t1 - e.t0).text}`;
-    return h("li", { "data-kind": e.kind, tabindex: "0", "data-hint": `${about} ${e.evidence ?? ""}` }, eventSwatch(e.kind), h("span", {}, label), h("span", { class: "dim" }, `${number(e.t0, 4)} s, ${lasted}`));
+    return h("li", { "data-kind": e.kind, tabindex: "0", "data-hint": `${about} ${legible(e.evidence) ?? ""}` }, eventSwatch(e.kind), h("span", {}, label), h("span", { class: "dim" }, `${number(e.t0, 4)} s, ${lasted}`));
   }));
 }
 

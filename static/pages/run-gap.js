@@ -4,7 +4,7 @@ import { api, problemNote } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number, when } from "../lib/format.js";
 import { isActive } from "../lib/jobs.js";
-import { diagnose, follow } from "./diagnose-job.js";
+import { diagnose, faultsNote, follow } from "./diagnose-job.js";
 import { said, streamName } from "./gap-words.js";
 
 const VERDICTS = { none: ["no gap", "green"], explained: ["explained", ""], partly_explained: ["partly explained", "amber"], unknown: ["unknown cause", "red"] };
@@ -15,14 +15,15 @@ export function mountGap(host, { run, data }) {
   const go = h("button", { type: "button", class: "button primary", id: "diagnose-run", "data-hint": "Against the nominal simulator; stretches of the run judge" }, "Diagnose this run");
   const more = h("a", { class: "button", href: `/diagnoses?runs=${run.id}`, "data-hint": "With other runs, some held out, and what matters (d)" }, "With other runs …");
   const asking = h("div", { class: "row" }, go, more);
-  const root = h("section", { class: "card gap-tab" }, found);
+  const faults = data.faults.length ? [[run.name, data.faults]] : [];
+  const root = h("section", { class: "card gap-tab" }, faults.length ? faultsNote(faults) : "", found);
   found.replaceChildren(asking, note);
   let gone = false;
   host.append(root);
 
   go.addEventListener("click", async () => {
     go.disabled = true;
-    await diagnose(note, { runs: [run.id], held_out: [], options: {} });
+    await diagnose(note, { runs: [run.id], held_out: [], options: {} }, faults);
     go.disabled = false;
     if (!gone) load();
   });

@@ -9,6 +9,7 @@ const GROUPS = [
   ["has", "Streams", "streams"],
   ["gap", "Gap verdict", "verdicts"],
 ];
+const WORDS = { none: "no gap", partly_explained: "partly explained", unknown: "unknown cause" };
 const SHOWN = 8;
 const expanded = new Set();
 
@@ -47,7 +48,7 @@ export function paintFacets(root, facets, q, onChange) {
         h("h3", {}, label),
         h("ul", {}, (all ? rows : rows.slice(0, SHOWN)).map(([value, n]) => {
           const on = has(q, key, value);
-          return h("li", {}, h("button", { type: "button", "aria-pressed": String(on), onclick: () => onChange(toggle(q, key, value)) }, h("span", { class: "clip" }, value), h("span", { class: "num" }, count(n))));
+          return h("li", {}, h("button", { type: "button", "aria-pressed": String(on), onclick: () => onChange(toggle(q, key, value)) }, h("span", { class: "clip" }, (key === "gap" && WORDS[value]) || value), h("span", { class: "num" }, count(n))));
         }), more),
       );
     }).filter(Boolean),

@@ -16,7 +16,7 @@ export const COLUMNS = [
   { key: "streams", label: "Streams", term: "streams", cell: (run) => streamChips(run.streams) },
   { key: "best", label: "Best error", term: "best_error", sort: "best_ate_m", num: true, cell: bestCell },
   { key: "bias", label: "Bias drift", term: "bias_drift", sort: "bias_drift_rad_s", num: true, cell: (run) => show(bias(run.bias_drift_rad_s)) },
-  { key: "verdict", label: "Verdict", term: "verdict", sort: "verdict", cell: (run) => (run.verdict ? h("span", { class: "chip", "data-verdict": run.verdict }, run.verdict === "none" ? "no gap" : run.verdict.replace("partly_", "partly ")) : "") },
+  { key: "verdict", label: "Verdict", term: "verdict", sort: "verdict", cell: (run) => (run.verdict ? h("span", { class: "chip", "data-verdict": run.verdict }, { none: "no gap", partly_explained: "partly explained", unknown: "unknown cause" }[run.verdict] ?? run.verdict) : "") },
 ];
 
 function selectCell(run, table) {

@@ -1,7 +1,8 @@
 // The effects by link: a slider and a field per parameter, a tick at neutral, changed ones on top.
 //
 //   const panel = createEffects(host, { effects, source, reach, values, onMove });
-//   panel.values -> {effect: {parameter: value}} of what is not neutral; panel.reset(); panel.showProblem(where)
+//   panel.values -> {effect: {parameter: value}} of what is not neutral; panel.reset(); panel.showProblem(where);
+//   panel.refuse({effect: reason})   // of the simulator that is chosen: marked, and not to be moved
 
 import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
@@ -39,6 +40,16 @@ export function createEffects(host, { effects, source, reach, values, onMove }) 
       arrange();
       onMove();
     },
+    refuse(reasons) {
+      for (const [id, { root, refused, parameters }] of rows) {
+        const why = reasons[id];
+        root.classList.toggle("refused", Boolean(why));
+        refused.hidden = !why;
+        refused.dataset.hint = why ? `This simulator cannot take it: ${why}.` : "";
+        for (const p of parameters) for (const control of [p.range, p.field, p.toggle]) if (control) control.disabled = Boolean(why);
+        if (!why) paint(effects.find((e) => e.id === id));
+      }
+    },
     showProblem(where) {
       const [effect, parameter] = String(where ?? "").split(".");
       for (const [id, row] of rows) for (const p of row.parameters) p.field?.setAttribute("aria-invalid", String(id === effect && p.name === parameter));
@@ -64,9 +75,10 @@ export function createEffects(host, { effects, source, reach, values, onMove }) 
     const hint = `${effect.equation}. Moves ${effect.streams.join(", ") || "which readings there are"}.${idle ? ` Here it shows nothing: ${idle}.` : ""}`;
     const reset = h("button", { type: "button", class: "button quiet reset", hidden: true, onclick: () => (clear(effect), arrange(), onMove()) }, "Reset");
     reset.setAttribute("aria-label", `Reset ${effect.label}`);
+    const refused = h("span", { class: "chip", tabindex: "0", hidden: true }, "refused");
     const parameters = effect.parameters.map((p) => (p.text ? choice(effect, p) : slider(effect, p)));
-    const root = h("div", { class: idle ? "effect idle" : "effect", "data-effect": effect.id }, h("header", {}, h("span", { "data-hint": hint, tabindex: "0" }, effect.label), reset), parameters.map((p) => p.root));
-    return { root, reset, parameters };
+    const root = h("div", { class: idle ? "effect idle" : "effect", "data-effect": effect.id }, h("header", {}, h("span", { "data-hint": hint, tabindex: "0" }, effect.label), refused, reset), parameters.map((p) => p.root));
+    return { root, reset, refused, parameters };
   }
 
   function slider(effect, p) {
@@ -139,7 +151,7 @@ export function createEffects(host, { effects, source, reach, values, onMove }) 
         if (value) one.field.value = value;
         continue;
       }
-      if (one.toggle) [one.toggle.checked, one.range.disabled] = [value !== null, value === null];
+      if (one.toggle) [one.toggle.checked, one.range.disabled] = [value !== null, value === null || row.root.classList.contains("refused")];
       if (document.activeElement !== one.range) one.range.value = value === null ? String(one.scale.max) : String(one.scale.toPosition(value));
       if (document.activeElement !== one.field) one.field.value = value === null ? "" : String(Number((value * one.human.factor).toPrecision(7)));
       one.range.setAttribute("aria-valuetext", value === null ? "off" : `${one.field.value} ${one.human.unit}`);

@@ -299,6 +299,9 @@ async function start() {
     effects = new Map(table.items.map((e) => [e.id, e]));
     startClock(first.source);
     panel = createEffects($("#effects"), { effects: table.items, source: first.source, reach: reachOf(first), values: effectsOfLink(), onMove: moved });
+    const refuse = () => panel.refuse(page.refused[$("#simulator").value] ?? {});
+    $("#simulator").addEventListener("change", refuse);
+    refuse();
     map = createMap($("#map"), { clock, subject: first.source.name, fileName: "sandbox" });
     map.setLead("patched");
     streams = createStreams($("#streams"), { clock, source: first.source, lines: LINES, onSight: () => move() });

@@ -179,7 +179,9 @@ def test_the_report_is_whole_in_one_file(verdict: str, behind: dict[str, Any] | 
     assert seen.open == [] and not seen.addresses
     assert not seen.tags & {"script", "link", "img", "iframe", "object", "base"}
     assert "url(" not in text and "@import" not in text and "http" not in text
-    assert all(f"<h2>{h}</h2>" in text for h in ("Where", "Which", "How far", "What is left", "Next", "How it was made"))
+    assert all(
+        f"<h2>{h}</h2>" in text for h in ("Where", "Which", "How far", "What is left", "Next", "How it was made")
+    )
 
 
 def test_what_users_wrote_cannot_become_markup() -> None:

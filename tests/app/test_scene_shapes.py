@@ -187,5 +187,5 @@ def test_events_stand_on_their_path_and_share_labels_where_they_crowd() -> None:
     ]
     events = events_on(path, found)
     assert [(e.kind, e.x) for e in events] == [("slip", 2.5), ("collision", 2.6), ("slip", 2.7), ("beacon_loss", 9.0)]
-    assert event_labels(events, 1.0) == ["slip × 2, collision", "", "", "beacon loss"]
-    assert event_labels(events, 0.01) == ["slip", "collision", "slip", "beacon loss"]
+    assert event_labels(events, 1.0, 1.0) == ["slip × 2, 1 more", "", "", "beacon loss"]
+    assert event_labels(events, 0.01, 0.01) == ["slip", "collision", "slip", "beacon loss"]
