@@ -25,7 +25,8 @@ REGRESSORS = {
     "t": "time", "time": "time", "truth.w": "turn rate", "truth.v": "speed", "w": "turn rate", "v": "speed",
     "a": "acceleration", "turn": "turn rate", "turning": "turn rate", "theta": "heading", "truth.theta": "heading",
     "truth.x": "place", "truth.y": "place", "imu.temperature": "temperature",
-    "ranges.range": "distance", "truth.a": "acceleration", "truth.alpha": "turn acceleration", "alpha": "turn acceleration",
+    "ranges.range": "distance", "truth.a": "acceleration", "truth.alpha": "turn acceleration",
+    "alpha": "turn acceleration",
     "wheels.left": "left wheel's angle", "wheels.right": "right wheel's angle",
 }  # fmt: skip
 STREAMS = {

@@ -58,8 +58,11 @@ def sentence(page: RunPage, stored: int, q: str, best: Run | None) -> str:
     return f"{measured}; the best path is {length(best.best_ate_m)} off, “{best.name}” by {best.best_method}."
 
 
+STOOD = 1e-6  # m: a robot that never moved is no best path
+
+
 def _best(session: Session) -> Run | None:
-    judged = select(Run).where(Run.deleted_at.is_(None), Run.best_ate_m.is_not(None))
+    judged = select(Run).where(Run.deleted_at.is_(None), Run.best_ate_m > STOOD)
     return session.scalars(judged.order_by(Run.best_ate_m).limit(1)).unique().first()
 
 

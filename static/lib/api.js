@@ -67,7 +67,7 @@ export function query(params) {
 
 const WHERE = ["file", "stream", "row", "column", "line", "expected", "found", "method", "missing", "parameter"];
 
-const text = (value) => (Array.isArray(value) ? value.join(", ") : typeof value === "object" ? JSON.stringify(value) : String(value));
+const text = (value) => (Array.isArray(value) ? value.map(text).join(", ") : typeof value === "number" ? String(Number(value.toPrecision(6))) : typeof value === "object" ? JSON.stringify(value) : String(value));
 
 /** A Problem (or its body) as an element that says what is wrong, where, what was expected and what was found. */
 export function problemNote(error, ...more) {

@@ -53,7 +53,7 @@ export function followJob(id, callback) {
   });
 }
 
-const KINDS = { ingest: "Read file", estimate: "Estimate", imu: "IMU analysis", calibrate: "Calibrate", correct: "Correct", judge: "Judge", diagnose: "Diagnose", odometry: "Calibrate odometry" };
+const KINDS = { ingest: "Read file", estimate: "Estimate", imu: "Analyse IMU", calibrate: "Calibrate", correct: "Correct", judge: "Judge", diagnose: "Diagnose", odometry: "Calibrate odometry", live: "Live run" };
 export const jobLabel = (job) => KINDS[job.kind] ?? job.kind;
 
 function jobRow(job) {

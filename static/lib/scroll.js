@@ -5,16 +5,15 @@
 //   plot.push("gz", t, y, sd); plot.draw(now);      draw at most once per animation frame; nothing new, nothing drawn
 
 import uPlot from "../vendor/uPlot.esm.js";
-import { axes } from "./chart-axes.js";
+import { axes, reading } from "./chart-axes.js";
 import { seriesSwatch } from "./chart-frame.js";
 import { h } from "./dom.js";
-import { number } from "./format.js";
 import { colour, onThemeChange, withAlpha } from "./palette.js";
 import { createRing } from "./ring.js";
 
 const VALUE_AXIS = 50;
 
-export function createScroll(host, { id, title, unit, term, series, scale = 1, seconds = 20, capacity = 4000, least = 0, zero = false, digits = 3 }) {
+export function createScroll(host, { id, title, unit, term, series, scale = 1, seconds = 20, capacity = 4000, least = 0, zero = false }) {
   const rings = new Map(series.map((s) => [s.key, createRing(["y", "sd"], capacity)]));
   const values = new Map(series.map((s) => [s.key, h("output", { class: "legend-value" }, "–")]));
   const legend = series.map((s) => h("span", { class: "legend-item", "data-hint": s.help, tabindex: s.help ? "0" : undefined }, seriesSwatch({ dash: [], ...s }), h("span", {}, s.label), values.get(s.key)));
@@ -102,7 +101,8 @@ export function createScroll(host, { id, title, unit, term, series, scale = 1, s
 
   // Figures are for reading: at the rate of the drawing they would flicker.
   function tell() {
-    for (const s of series) values.get(s.key).textContent = number(rings.get(s.key).latest("y") * scale, digits);
+    const { min, max } = plot?.scales.y ?? {};
+    for (const s of series) values.get(s.key).textContent = reading(rings.get(s.key).latest("y") * scale, [min, max]);
   }
 
   const sizes = new ResizeObserver(() => {

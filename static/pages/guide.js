@@ -2,6 +2,8 @@
 
 const links = new Map([...document.querySelectorAll(".guide-sections a")].map((a) => [a.hash.slice(1), a]));
 
+if (window.matchMedia("(max-width: 560px)").matches) document.querySelector(".guide-menu").open = false; // the text first
+
 function mark(anchor) {
   for (const [name, link] of links) {
     if (name === anchor) link.setAttribute("aria-current", "true");
@@ -17,3 +19,4 @@ const seen = new IntersectionObserver(
   { rootMargin: "-48px 0px -70% 0px" },
 );
 for (const heading of document.querySelectorAll(".guide-text h2, .guide-text h3")) seen.observe(heading);
+document.documentElement.dataset.ready = "guide";

@@ -142,7 +142,7 @@ export function sentence({ robot, state, silent, t, speed, turn, pose, links, le
   if (state === "ended") return `${robot} has ended its run after ${duration(t).text}.`;
   if (state === "silent") return `${robot} has been silent for ${duration(silent).text}. The run goes on where it stopped when it speaks again.`;
   const motion = Math.abs(speed) < 0.01 && Math.abs(turn) < 0.02 ? "stands" : `drives at ${number(speed, 2)} m/s${Math.abs(turn) < 0.02 ? "" : ` and turns at ${number(turn * (180 / Math.PI), 2)} °/s`}`;
-  const known = pose && pose.sd_x !== null ? `${methodStyle(leading).label} knows where to ± ${length(Math.hypot(pose.sd_x, pose.sd_y)).text}` : pose ? `${methodStyle(leading).label} states no uncertainty` : "no method has a position yet";
+  const known = pose && pose.sd_x !== null ? `its place by ${methodStyle(leading).label} is known to ± ${length(Math.hypot(pose.sd_x, pose.sd_y)).text}` : pose ? `${methodStyle(leading).label} says where, not how surely` : "no method has a position yet";
   const out = links.filter((l) => l.warn).map((l) => l.link);
   const told = links.filter((l) => l.excess !== null).length;
   const chain = out.length ? `${out.join(", ")}: outside the noise floor.` : told ? "Every link is inside its noise floor." : "";

@@ -55,7 +55,7 @@ def test_another_method_is_a_click_away(page: Page, pair: str) -> None:
     page.locator("#methods").get_by_role("button", name="encoders", exact=True).click()
     page.wait_for_url("**method=encoders**")
     expect(page.locator('#methods [aria-pressed="true"]')).to_have_text("encoders")
-    expect(page.locator("#verdict")).to_contain_text("By Encoders")
+    expect(page.locator("#verdict")).to_contain_text("By encoders")
 
 
 def test_only_differences_hides_what_is_equal(page: Page, pair: str) -> None:
