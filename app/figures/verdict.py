@@ -34,6 +34,14 @@ FAULTS = (
     "converted", "exchanged", "upside down", "mirrored", " encoder ", "on one line", "unsurveyed", "disagree",
     "ambiguous", "not observable", "hardly observable", "times the stated one",
 )  # fmt: skip
+READINGS = (
+    "converted",
+    "exchanged",
+    "upside down",
+    "mirrored",
+    " encoder ",
+    "its sign is changed",
+)  # not the robot's ways
 MOST_FAULTS = 2
 
 
@@ -95,9 +103,9 @@ def _faults(case: Case) -> str:
     return " ".join(next((found for e in order if (found := faults(e.notes))), [])[:MOST_FAULTS])
 
 
-def faults(notes: Sequence[str]) -> list[str]:
-    """Of an estimate's notes, those that say that something is wrong with the run."""
-    return [note for note in notes if any(word in note for word in FAULTS)]
+def faults(notes: Sequence[str], words: Sequence[str] = FAULTS) -> list[str]:
+    """Of an estimate's notes, those that say that something is wrong with the run; READINGS: with what it recorded."""
+    return [note for note in notes if any(word in note for word in words)]
 
 
 def _name(method: str) -> str:

@@ -13,7 +13,7 @@ from app.api.diagnosis_rows import summaries
 from app.db.session import reading
 from app.db.tables import Run
 from app.figures.gap_sentence import VERDICTS
-from app.figures.verdict import faults
+from app.figures.verdict import READINGS, faults
 from app.pages.base import Page, render, route
 from app.simulators import OURS, RECORDED
 from app.store import beside, results
@@ -57,7 +57,7 @@ def diagnoses(
             sentence=sentence([row.verdict for row in rows], len({row.robot for row in rows if row.robot})),
             diagnoses=[one.model_dump(mode="json") for one in summaries(session, rows)],
             jobs=[job_store.as_dict(job) for job in active if job.kind == "diagnose"],
-            runs=[_choice(run, faults(notes.get(run.id, ()))) for run in offered],
+            runs=[_choice(run, faults(notes.get(run.id, ()), READINGS)) for run in offered],
             effects=_sizes(),
             verdicts=VERDICTS,
             simulators=[OURS, *sims, *request.app.state.sandbox.simulators()],

@@ -12,7 +12,7 @@ from app.api.diagnosis_rows import detail
 from app.db.session import reading
 from app.exports.effects import TARGETS
 from app.figures.gap_report import parts, runs
-from app.figures.verdict import faults
+from app.figures.verdict import READINGS, faults
 from app.pages.base import Page, environment, render, route
 from app.paths import STATIC
 from app.store import diagnoses as store
@@ -49,7 +49,7 @@ def diagnosis(request: Request, diagnosis_id: str) -> Response:
         evidence,
         parts(found["result"], evidence),
         [{"name": name, "label": t.label, "what": t.what} for name, t in TARGETS.items()],
-        {r["name"]: told for r in found["runs"] if (told := faults(notes.get(r["id"], ())))},
+        {r["name"]: told for r in found["runs"] if (told := faults(notes.get(r["id"], ()), READINGS))},
     )
     return render(request, page)
 

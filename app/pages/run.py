@@ -13,7 +13,7 @@ from sqlalchemy.orm import Session
 
 from app.db.session import reading
 from app.db.tables import Estimate, Run
-from app.figures.verdict import Case, Judged, events_of, faults, lead_of, verdict
+from app.figures.verdict import READINGS, Case, Judged, events_of, faults, lead_of, verdict
 from app.pages.base import Page, render, route
 from app.store import arrays, events, live, results, runs
 from app.store import jobs as job_store
@@ -75,7 +75,7 @@ def run_page(request: Request, run_id: str) -> Response:
             jobs=jobs,
             lead=lead_of(case.estimates).method if case.estimates else None,
             event_method=speaks.method if speaks else None,
-            faults=faults([note for e in estimates if e.method == "fused" for note in e.notes]),
+            faults=faults([note for e in estimates if e.method == "fused" for note in e.notes], READINGS),
             neighbours=_neighbours(session, row),
             exports=_exports(row),
         )

@@ -62,10 +62,11 @@ export function startHints() {
   document.addEventListener("pointerover", enter);
   document.addEventListener("focusin", (e) => {
     if (box?.contains(e.target)) return; // its link is being pressed
-    if (e.target.matches?.(SELECTOR)) open(e.target);
+    if (e.target.matches?.(SELECTOR) && e.target.matches(":focus-visible")) open(e.target); // by key: a click has read it already
     else close();
   });
   document.addEventListener("pointerdown", (e) => box?.contains(e.target) || close());
+  document.addEventListener("click", (e) => box?.contains(e.target) || close()); // what it did may lie below
   document.addEventListener("keydown", (e) => e.key === "Escape" && close());
   document.addEventListener("scroll", close, { capture: true, passive: true });
 }

@@ -59,5 +59,5 @@ function mend(error, faults) {
 /** What the estimators found wrong with the runs: the likeliest reason of a strange answer or none. [[name, [fault]]] */
 export function faultsNote(faults) {
   const one = ([name, told]) => h("p", { "data-faults": name }, h("b", {}, name), `: ${told.join(" ")}`);
-  return h("div", { class: "note amber" }, faults.map(one), h("p", {}, "The paths are put right, but a diagnosis takes readings as they were recorded. Put it right in run.json or where the run was written, import it again, and diagnose that."));
+  return h("div", { class: "note amber" }, faults.map(one), h("p", {}, "So the estimators read it for the paths. A diagnosis takes the readings as they were recorded: if it is so, put it right in run.json or where the run was written, import the run again, and diagnose that."));
 }

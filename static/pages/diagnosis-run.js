@@ -15,7 +15,7 @@ const REAL = { label: "real", color: "--method-truth", dash: [], width: 1.75 };
 const NOMINAL = { label: "simulated", color: "--ink-3", dash: [6, 4], width: 1.5 };
 const PATCHED = { label: "patched", color: "--patched", dash: [], width: 2 };
 
-export function mountRun(run, { params, changed, fileName }) {
+export function mountRun(run, { params, some, changed, fileName }) {
   const clock = createTimeCursor(spanOf(run));
   const given = (name) => (params.has(name) ? Number(params.get(name)) : null);
   if (given("t0") !== null) clock.setRange(given("t0"), given("t1") ?? clock.full[1]);
@@ -23,7 +23,7 @@ export function mountRun(run, { params, changed, fileName }) {
   const offs = [];
   const map = run.path && gapMap(run, clock, fileName);
   const chart = run.timeline?.t.length > 1 && timeline(run, clock, fileName);
-  const overlay = run.free_run?.paths.length && overlayMap(run, clock, fileName, given("share"), moved);
+  const overlay = run.free_run?.paths.length && overlayMap(run, clock, fileName, given("share"), some, moved);
   const alone = params.get("view");
   const scene = run.stored && alone !== "map" && (run.path || run.free_run) ? mountGapScene($("#scene"), run.id, clock) : null;
   $("#scene").hidden = !scene;
@@ -123,7 +123,7 @@ function timeline(run, clock, fileName) {
 
 /* real, simulated, and with a share of the effects added */
 
-function overlayMap(run, clock, fileName, first, moved) {
+function overlayMap(run, clock, fileName, first, some, moved) {
   const { t, real, shares, paths } = run.free_run;
   const map = createMap($("#map-overlay"), { clock, subject: run.name, fileName: `${fileName}-overlay` });
   const slider = $("#share");
@@ -140,10 +140,11 @@ function overlayMap(run, clock, fileName, first, moved) {
   const paint = () => {
     $("#share-now").textContent = `${slider.value} %`;
     const shown = mixed();
-    $("#overlay-told").textContent = apart(real, paths[0], Number(slider.value) ? shown : null, Number(slider.value));
-    map.setPaths([{ method: "real", ...REAL, t, ...real }, { method: "simulated", ...NOMINAL, t, ...paths[0] }, { method: "patched", ...PATCHED, label: `with ${slider.value} % of the effects`, ...shown }], []);
+    $("#overlay-told").textContent = apart(real, paths[0], some && Number(slider.value) ? shown : null, Number(slider.value));
+    const patched = { method: "patched", ...PATCHED, label: `with ${slider.value} % of the effects`, ...shown };
+    map.setPaths([{ method: "real", ...REAL, t, ...real }, { method: "simulated", ...NOMINAL, t, ...paths[0] }, ...(some ? [patched] : [])], []);
   };
-  const named = [REAL, { ...NOMINAL, label: "simulated, as it is" }, { ...PATCHED, label: "simulated, with the effects" }];
+  const named = [REAL, { ...NOMINAL, label: "simulated, as it is" }, ...(some ? [{ ...PATCHED, label: "simulated, with the effects" }] : [])];
   $("#overlay-legend").replaceChildren(...named.map((one) => h("span", {}, seriesSwatch(one), one.label)));
   const onInput = () => (paint(), moved());
   slider.addEventListener("input", onInput);

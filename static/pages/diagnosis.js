@@ -12,6 +12,7 @@ const { diagnosis, evidence, targets } = pageData();
 const params = new URLSearchParams(location.search);
 const runs = (evidence?.runs ?? []).map((one, i) => ({ ...one, name: diagnosis.runs[i]?.name ?? one.name, id: diagnosis.runs[i]?.id, stored: diagnosis.runs[i]?.stored })).filter((one) => one.path || one.free_run || one.timeline?.t.length);
 const say = (error) => $("#said").replaceChildren(problemNote(error));
+const some = Object.keys(diagnosis.effects).length > 0; // effects to add
 let run = null; // the one that is shown
 let at = 0;
 
@@ -20,7 +21,7 @@ let at = 0;
 function choose(index) {
   at = Math.min(Math.max(index, 0), runs.length - 1);
   run?.destroy();
-  run = mountRun(runs[at], { params, changed: remember, fileName: diagnosis.name.replace(/[^\w.+-]+/g, "_").slice(0, 60) });
+  run = mountRun(runs[at], { params, some, changed: remember, fileName: diagnosis.name.replace(/[^\w.+-]+/g, "_").slice(0, 60) });
   for (const [i, button] of $$("#run-choice button").entries()) button.setAttribute("aria-pressed", String(i === at));
   remember();
 }
@@ -72,7 +73,6 @@ function command() {
 function startTools() {
   const menu = $("#patch .menu-list");
   menu.append(...targets.map((t) => h("button", { type: "button", "data-target": t.name, title: t.what, onclick: () => (($("#patch").open = false), patch(t)) }, t.label)));
-  const some = Object.keys(diagnosis.effects).length > 0;
   $("#patch").hidden = !some;
   $(".share-row").hidden = !some;
   if ($("#open-sandbox")) $("#open-sandbox").href = `/sandbox?${new URLSearchParams({ run: diagnosis.runs[0].id, ...(some ? { effects: JSON.stringify(diagnosis.effects) } : {}) })}`;
