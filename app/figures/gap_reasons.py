@@ -47,6 +47,7 @@ def plain(text: str) -> str:
         name = match.group()
         return label(name) if name in EFFECTS else stream_name(name) if name in STREAMS else name
 
+    text = text.replace("of what the shape takes, its parameters fitted", "of that shape, fitted to it")
     text = text.replace("refitted, they still differ by", "even refitted, they would differ there by")
     return re.sub(r"(\d)%", "\\1 %", _NAME.sub(named, text))
 

@@ -31,7 +31,7 @@ PLURALS = {
 }
 # Of an estimate's notes, those that say that something is wrong with the run: its units, signs, names, or sight.
 FAULTS = (
-    "converted", "exchanged", "upside down", "mirrored", " encoder ", "on one line", "unsurveyed", "disagree",
+    "converted", "exchanged", "upside down", "mirrored", " encoder ", "on one line", "unsurveyed", "disagree about",
     "ambiguous", "not observable", "hardly observable", "times the stated one",
 )  # fmt: skip
 READINGS = (

@@ -49,7 +49,7 @@ export function reading(value, range, log = false) {
   const step = (range[1] - range[0]) * 1e-4;
   if (log || !(step > 0) || step < 1e-7) return number(value);
   if (Math.abs(value) < step / 2) return "0";
-  return fixed(value, decimals(10 ** Math.ceil(Math.log10(step)))).replace("-", "−");
+  return fixed(value, decimals(10 ** Math.floor(Math.log10(step)))).replace("-", "−");
 }
 
 export function timeText(t, step = 0.01, span = Infinity) {

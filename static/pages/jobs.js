@@ -12,7 +12,7 @@ const VIEWS = [
   ["failed", "Failed", (job) => job.state === "failed"],
   ["done", "Done", (job) => job.state === "done"],
 ];
-const CHIP = { running: "chip green", queued: "chip", done: "chip", failed: "chip red", cancelled: "chip absent" };
+const CHIP = { running: "chip green", queued: "chip", done: "chip", failed: "chip red", cancelled: "chip" };
 const WORDS = { running: "running", queued: "waiting", done: "done", failed: "failed", cancelled: "cancelled" };
 
 const page = pageData();

@@ -73,7 +73,7 @@ def test_keys_are_listed_in_a_panel_beside_the_page(page: Page) -> None:
 def test_what_is_not_there_gets_a_page_that_says_so(page: Page, server: Server) -> None:
     answer = page.goto("/runs/0123456789abcdef")
     assert answer is not None and answer.status == 404
-    expect(page.locator("#verdict")).to_contain_text("there is no run '0123456789abcdef'")
+    expect(page.locator("#verdict")).to_contain_text("There is no run '0123456789abcdef'")
     page.get_by_role("link", name="All runs", exact=True).click()
     expect(page).to_have_url(f"{server.url}/runs")
     problem = server.client.get("/compare.json", params={"runs": "a"})
