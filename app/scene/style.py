@@ -69,6 +69,19 @@ THEME: dict[str, Theme] = {
 
 GAP = ((140, 150, 158), (224, 160, 96), (232, 148, 66), (226, 124, 40), (206, 92, 22), (160, 60, 10), (104, 34, 4))
 """Colours of a path by the gap over its floor: the steps of `app.figures.gap.LEVELS`."""
+GAPS: dict[str, tuple[Rgb, ...]] = {
+    "light": GAP,
+    "dark": (
+        (90, 100, 109),
+        (148, 103, 47),
+        (176, 122, 49),
+        (208, 140, 51),
+        (238, 159, 63),
+        (255, 191, 119),
+        (255, 224, 189),
+    ),
+}
+"""The same by theme, as `--path-0` to `--path-6` of gap.css: what is far off must stand out from the ground."""
 
 SPEED = (
     (150, 158, 165),

@@ -20,7 +20,7 @@ from app.scene import build, shapes
 from app.scene.cursor import Cursor
 from app.scene.data import DEFAULT_TRACK_WIDTH, FIXES, SceneData, ScenePath
 from app.scene.panel import Panel
-from app.scene.style import GAP, THEMES, TRAILS, primary, slug
+from app.scene.style import GAP, GAPS, THEMES, TRAILS, primary, slug
 
 TICK = 1 / 30  # s
 OVERLAY, SIMULATED = (124, 91, 176), (128, 138, 148)
@@ -172,7 +172,7 @@ class Client:
             pieces = np.stack((points[:-1], points[1:]), axis=1)
             colours: Any = SIMULATED if name == "simulated" else OVERLAY
             if overlay.levels is not None:
-                colours = np.repeat(shapes.linear(GAP)[overlay.levels[1:]][:, None], 2, axis=1)
+                colours = np.repeat(shapes.linear(GAPS.get(self._theme, GAP))[overlay.levels[1:]][:, None], 2, axis=1)
             width = 3.0 if overlay.levels is None else 6.0
             node = f"/world/overlay/{name}"
             scene.add_line_segments(f"{node}/path", pieces, colours, thickness=width, thickness_units="screen")
@@ -293,6 +293,8 @@ class Viewer:
             with client.handle.atomic():
                 if any(getattr(before, k) != getattr(self.cursor, k) for k in ("theme", "methods", "trail")):
                     client.dress(self.cursor)
+                if before.theme != self.cursor.theme:
+                    client.lay({name: o for name, o in self._overlays.items() if o.levels is not None})
         self._tick()
         self._tell(by, source)
 

@@ -188,8 +188,8 @@ const COLUMNS = [
   ["nis_mean", "Mean NIS", (s) => s.mean, number],
   ["nis_band", "95 % band", (s) => s.band, (b) => `${number(b[0])} to ${number(b[1])}`],
   ["whiteness", "White, p", (s) => s.whiteness?.p_value, (p) => (p < 0.001 ? "< 0.001" : number(p, 2))],
-  ["nis_effective", "Worth", (s) => s.whiteness?.effective, (v) => count(v)],
-  ["advice", "R, times", (s) => s.advice, (a) => (a.fits ? "fits" : !a.single ? `none: ${number(a.factor, 2)}, tail ${number(a.wide, 2)}` : `${number(a.factor, 2)} (${number(a.low, 2)} to ${number(a.high, 2)})`)],
+  ["nis_effective", "Independent", (s) => s.whiteness?.effective, (v) => count(v)],
+  ["advice", "R should be", (s) => s.advice, (a) => (a.fits ? "as it is" : !a.single ? `no one value: × ${number(a.factor, 2)} to ${number(a.wide, 2)}` : `× ${number(a.factor, 2)} (${number(a.low, 2)} to ${number(a.high, 2)})`)],
 ];
 
 function figures({ sensors, nees }, { fileName }) {
