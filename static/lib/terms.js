@@ -44,7 +44,7 @@ export const TERMS = {
   nis_refused: ["Refused", "Share of readings outside their gate: not used, but counted here.", null, "numbers#nis"],
   nis_mean: ["Mean NIS", "Over accepted readings. Right: near the degrees of freedom, inside the band beside it.", "mean νᵀ S⁻¹ ν", "numbers#nis"],
   nis_band: ["Band of the mean", "Holds the mean of an honest filter in 95 of 100 runs; it counts as many readings as these are worth.", "χ²(n·dof) / n", "numbers#nis"],
-  nis_effective: ["Worth", "How many independent readings these are worth: fewer where neighbours hang together.", "n / (1 + 2 Σ rₖ)", "numbers#whiteness"],
+  nis_effective: ["Independent", "How many independent readings these are worth: fewer where neighbours hang together.", "n / (1 + 2 Σ rₖ)", "numbers#whiteness"],
   whiteness: ["Whiteness", "Bars: autocorrelation of NIS (by ranks, so outliers do not count). White: 95 % of the bars within ± 2/√n. p: probability of such bars, were it white (Ljung-Box).", "Q = n(n+2) Σ rₖ² / (n−k)", "numbers#whiteness"],
   advice: ["R should be about", "The noise to tell the filter, over what it is told, with its 95 % interval: the median of NIS over that of chi-square, so that outliers do not count.", "median NIS / median χ²", "numbers#noise-advice"],
   events: ["Events", "What befell the robot, as this method found it. Click one to go there; confirm or dismiss it, and again to take that back.", null, "numbers#events"],

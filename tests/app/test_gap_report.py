@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from app.api.diagnosis_schemas import SUMMARY
-from app.figures import gap_report
+from app.figures import gap_reasons, gap_report
 from app.figures.gap import heat, level, rms
 from app.figures.gap_sentence import VERDICTS, headline, sentence, times
 from app.figures.gap_which import chances, sizes
@@ -199,6 +199,37 @@ def test_the_report_shows_what_is_there() -> None:
     assert [line.label for line in drawn.considered] == ["gyro scale", "wheel radius"]
     runs = gap_report.runs(evidence())
     assert runs[0].overlay is None and runs[1].overlay is not None and runs[1].path is not None
+
+
+def test_reasons_come_in_plain_words_and_what_says_the_same_comes_once() -> None:
+    nothing = "adds nothing beside the causes (drop of deviance 0; chance gives up to 24)"
+    rows = [{"effect": name, "reason": nothing} for name in ("motor_lag", "bump", "side_slip", "gyro_bias")]
+    rows.append(
+        {"effect": "wheel_radius", "reason": "refitted, it takes 47.7% of what a shape of no listed effect takes"}
+    )
+    first, rest = gap_reasons.considered(answer(), {"considered": rows})
+    assert (first.label, first.number) == ("wheel radius", "48 %") and "the cause that is in no list" in first.text
+    assert rest.label == "4 effects" and "motor lag, bump, side slip, gyro bias" in rest.text
+    rest_of = "imu.gz is off, like w³; that shape takes 98% of what is left there (drop of deviance 16338)"
+    assert gap_reasons.described(rest_of) == "The gyro is off, like w³ (w: turn rate); that shape takes 98 % of it."
+    unseen = [
+        {"effect": "deadband", "parameter": "width", "visible_from": 4e8, "unit": "m/s"},
+        {"effect": "command_delay", "parameter": "delay", "visible_from": 0.4, "unit": "s"},
+    ]
+    told = {line.label: line.text for line in gap_reasons.cannot_see(answer(), {"cannot_see": unseen})}
+    assert told == {"command delay": "delay: from 400 ms on", "dead band": gap_reasons.BLIND}
+
+
+def test_what_is_left_above_the_floor_is_said_though_it_has_no_shape() -> None:
+    left = answer(gap={**answer()["gap"], "before": 71.0, "after": 5.6, "floor": 0.85})
+    assert "falls from 71 to 5.6 times the noise (floor 0.85)" in sentence(left)
+    assert "still 5.6 times the noise, over a floor of 0.85" in gap_report.parts(left, None).unexplained
+    little = answer(gap={**answer()["gap"], "before": 2939.0, "after": 2884.0, "floor": 27.0, "shrink": 0.0189})
+    assert "explain 1.9 % of the gap together" in sentence(little)
+    driven = gap_report.runs(evidence())[1].driven
+    assert re.fullmatch(
+        r"Distance from the real path at the end: simulated .+ and patched .+; on the whole .+\.", driven
+    )
 
 
 def test_colours_step_up_with_the_gap_and_cells_without_readings_are_no_cells() -> None:
