@@ -100,7 +100,8 @@ def _noise(sensors: Mapping[str, Any]) -> str:
         return "Every sensor is about as noisy as the filter expects."
     # Of wheels the filter's own motion noise has a large share in what it expects: others first, whose R it mostly is.
     name = min(wrong, key=lambda n: (n in MOTION, not wrong[n]["single"], -abs(np.log(max(wrong[n]["factor"], 1e-9)))))
-    others = f" {len(wrong) - 1} more of {len(advised)} sensors {'does' if len(wrong) == 2 else 'do'} not fit." if len(wrong) > 1 else ""
+    do = "does" if len(wrong) == 2 else "do"
+    others = f" {len(wrong) - 1} more of {len(advised)} sensors {do} not fit." if len(wrong) > 1 else ""
     noise = "R or the motion noise" if name in MOTION else "R"
     return f"{label(name).capitalize()} {_advice(wrong[name], noise)}.{others}"
 
@@ -109,9 +110,11 @@ def _advice(a: Mapping[str, Any], noise: str) -> str:
     factor, low, high = (significant(a[k], 2) for k in ("factor", "low", "high"))
     if not a["single"]:
         wide = significant(a["wide"], 2)
-        return f"are not spread evenly: half of them call for {factor} times the {noise} that is set, the widest tenth for {wide} times"
+        half = f"half of them call for {factor} times the {noise} that is set"
+        return f"are not spread evenly: {half}, the widest tenth for {wide} times"
     size = significant(float(a["factor"]) ** 0.5, 2)
-    return f"stray {size} times as far as the filter expects: {noise} should be about {factor} times what it is ({low} to {high})"
+    advice = f"{noise} should be about {factor} times what it is ({low} to {high})"
+    return f"stray {size} times as far as the filter expects: {advice}"
 
 
 def _white(sensors: Mapping[str, Any]) -> str:

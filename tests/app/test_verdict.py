@@ -109,7 +109,8 @@ def test_the_noise_advice_names_the_sensor_and_the_factor() -> None:
         return sentence({"sensors": {k.replace("_", "."): v for k, v in sensors.items()}, "nees": None})
 
     assert said(beacon_position=sensor(0.09), wheels_turn=sensor(0.001)) == (
-        "Fixes stray 0.30 times as far as the filter expects: R should be about 0.090 times what it is (0.072 to 0.11). "
+        "Fixes stray 0.30 times as far as the filter expects: R should be about 0.090 times what it is "
+        "(0.072 to 0.11). "
         "1 more of 2 sensors does not fit."
     )
     assert said(ranges=sensor(1.1, fits=True)) == "Every sensor is about as noisy as the filter expects."
