@@ -33,7 +33,7 @@ def inexact(one: Found, streams: Collection[str] | None = None) -> float:
     streams: of these alone, and of the effects that touch them; else of all.
     """
     normal = one.fit.normal
-    here = np.array([streams is None or name in streams for name in normal.channels])
+    here = np.array([streams is None or name in streams for name in normal.channels], dtype=bool)
     n, c = float(normal.n[here].sum()), float(normal.c[here].sum())
     explained = sum(v for name, v in one.earned.items() if streams is None or set(EFFECTS[name].streams) & set(streams))
     if c < LOUD * n or explained <= 0.0:

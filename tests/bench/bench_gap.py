@@ -53,6 +53,8 @@ PLANT = (
     "no truth",
     "no imu",
     "no commands",
+    "streams",
+    "streams null",
 )
 STRATA = (*PLANT, "mujoco null", "mujoco single", "mujoco small")
 USUAL = {
@@ -149,6 +151,8 @@ def score(
     row["exact"] = float(named == true and (found.unexplained is not None) == outside)
     if true:
         order = [one.effect for one in ranked]
+        sure = {one.effect for one in ranked if one.probability > 0.8}
+        row["honest"] = float(row["exact"] or (bool(true & set(order[:3])) and sure <= true))
         row |= {"top1": float(bool(order) and order[0] in true), "top3": float(bool(true & set(order[:3])))}
         row["p"] = float(np.mean([next((c.probability for c in ranked if c.effect == name), 0.0) for name in true]))
         row["F1"] = 2 * len(named & true) / (len(named) + len(true))
@@ -230,8 +234,8 @@ def pairs(found: Diagnosis | Brief, answer: Effects, outside: bool) -> list[tupl
 
 
 COLUMNS = (
-    "exact", "top1", "top3", "F1", "p", "false", "told unknown", "shrunk", "harm", "z", "in 90 %", "loudest", "alone",
-    "together", "cpu_s",
+    "exact", "honest", "top1", "top3", "F1", "p", "false", "told unknown", "shrunk", "harm", "z", "in 90 %", "loudest",
+    "alone", "together", "cpu_s",
 )  # fmt: skip
 
 

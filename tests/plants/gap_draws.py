@@ -100,6 +100,29 @@ SEES = {
 """Effects that show only, or chiefly, in a stream (parts of their names)."""
 
 
+POSES = ("truth", "fix", "ranges", "both", "none")
+STREAMS = [(c, i, p) for p in POSES for c in (True, False) for i in (True, False) if c or i or p != "none"]
+"""(commands, IMU, what tells the pose): every combination of streams that says anything."""
+
+
+def _shown(commands: bool, imu: bool, pose: str) -> list[str]:
+    """Effects that these streams can show."""
+    blind = [*(() if imu else SEES["imu"]), *(() if commands else SEES["commands"])]
+    if pose == "none":  # dead reckoning: the wheels against the commands, the IMU against the wheels
+        blind += [*BEACONS, "slip_patch", "wheel_radius", *(() if imu else BODY)]
+    if pose in ("truth", "fix"):
+        blind += ["range_bias", "anchor_moved"]
+    if pose in ("truth", "ranges"):
+        blind += ["beacon_shift", "beacon_rotation"]
+    if pose == "truth":
+        blind += list(BEACONS)
+    return [name for name in sorted(set(NAMES)) if not any(part in name for part in blind)]
+
+
+BEACONS = ("beacon_", "range_bias", "anchor_moved", "tag_offset")
+BODY = ("unequal_wheels", "track_width", "wheel_slip", "side_slip")
+
+
 KINDS = {"small": 5, "pair": 11, "no truth": 19, "no imu": 23, "no commands": 29}
 """Where each kind of case begins in the list of effects: together they draw all."""
 
@@ -114,8 +137,10 @@ def plans(kind: str, seed: int, ordinary: bool = True) -> tuple[list[Plan], Plan
     """(fit runs, held-out run, answer, label) of one case.
 
     kind: null, noise (sheet off by 1.5), small (2.5 tolerances), single (6 to 30), pair, no truth, no imu, no commands,
-    open (a cause that no list has).
+    open (a cause that no list has), streams and streams null (each combination of streams in turn).
     """
+    if kind.startswith("streams"):
+        return _of_streams(seed, kind == "streams null", ordinary)
     rng = np.random.default_rng([seed, 7])
     names = _names_for(kind)
     times = float(np.exp(rng.uniform(np.log(6.0), np.log(30.0)))) if kind != "small" else 2.5
@@ -143,6 +168,27 @@ def plans(kind: str, seed: int, ordinary: bool = True) -> tuple[list[Plan], Plan
     )
     fit = [replace(plan, profile="mixed", seconds=45.0), replace(plan, profile="turns", seconds=35.0)]
     return fit, replace(plan, profile="stops", seconds=40.0), effects, "+".join(chosen)
+
+
+def _of_streams(seed: int, clean: bool, ordinary: bool) -> tuple[list[Plan], Plan, Effects, str]:
+    """A case whose robot has one combination of streams, by the seed."""
+    rng = np.random.default_rng([seed, 7])
+    commands, imu, pose = STREAMS[seed % len(STREAMS)]
+    names = _shown(commands, imu, pose)
+    name = names[(seed * 17) % len(names)]
+    effects = {} if clean else draw(name, float(np.exp(rng.uniform(np.log(6.0), np.log(30.0)))), rng)
+    plan = Plan(
+        seed,
+        effects=effects,
+        truth=pose == "truth",
+        imu=imu,
+        commands=commands,
+        sensors="none" if pose in ("truth", "none") else pose,
+        ordinary=ordinary,
+    )
+    fit = [replace(plan, profile="mixed", seconds=45.0), replace(plan, profile="turns", seconds=35.0)]
+    told = f"{'commands, ' if commands else ''}{'imu, ' if imu else ''}{pose}: {'' if clean else name}"
+    return fit, replace(plan, profile="stops", seconds=40.0), effects, told
 
 
 def _pose(name: str) -> bool:
