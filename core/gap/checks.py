@@ -138,9 +138,9 @@ ALIKE, BETTER = 0.7, 0.3
 
 
 def _clocks(run: Run) -> None:
-    """Refuse a gyro or a reference whose turning is that of the drive, seconds earlier or later."""
+    """Refuse a gyro, commands, fixes or a reference whose turning is that of the drive, seconds earlier or later."""
     drive = _turning(run, "wheels") or _turning(run, "commands")
-    for name in ("imu", "truth"):
+    for name in ("commands", "imu", "beacon", "truth"):
         seen = _turning(run, name)
         if drive is None or seen is None:
             continue
@@ -168,14 +168,17 @@ def _turning(run: Run, name: str) -> tuple[Array, Array] | None:
     if name == "wheels":
         angle = (columns["right"] - columns["left"]) * (run.meta.robot.wheel_radius or 1.0)
         rate = np.gradient(np.asarray(angle, dtype=np.float64), log.t) / (run.meta.robot.track_width or 1.0)
-    elif name == "truth":
+    elif name in ("truth", "beacon"):
         if "theta" not in columns:
             return None
         known = np.isfinite(columns["theta"])
         if known.sum() < MANY:
             return None
-        turned = np.unwrap(np.asarray(columns["theta"], dtype=np.float64)[known])
-        rate = np.interp(log.t, log.t[known], np.gradient(turned, log.t[known]))
+        turned, stamps = np.unwrap(np.asarray(columns["theta"], dtype=np.float64)[known]), log.t[known]
+        rate = np.gradient(turned, stamps)
+        if name == "beacon":  # a fix's heading is rough: its change over a second
+            rate = np.interp(stamps + 0.5, stamps, turned) - np.interp(stamps - 0.5, stamps, turned)
+        rate = np.interp(log.t, stamps, rate)
     else:
         rate = np.asarray(columns["w" if name == "commands" else "gz"], dtype=np.float64)
     rate = np.nan_to_num(rate)

@@ -24,6 +24,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
+from core.effects import EFFECTS  # noqa: E402
 from core.formats import read_run  # noqa: E402
 from core.gap import Diagnosis, diagnose  # noqa: E402
 from core.gap.candidates import candidates  # noqa: E402
@@ -32,7 +33,7 @@ from core.gap.conclude import chance_of_none  # noqa: E402
 from core.gap.floor import Floor  # noqa: E402
 from core.gap.judged import judged  # noqa: E402
 from core.gap.leftover import chance_of_unknown  # noqa: E402
-from core.gap.linear import Problem, linearise, with_floor  # noqa: E402
+from core.gap.linear import Problem, linearise, whitened, with_floor  # noqa: E402
 from core.gap.reference import restarts_of  # noqa: E402
 from core.gap.screen import gains_of  # noqa: E402
 from core.gap.searched import reach_of, searched  # noqa: E402
@@ -105,6 +106,25 @@ def oracle(held: Run, answer: Effects, whole: Effects) -> float | None:
     small = {name: values for name, values in whole.items() if name not in answer and name not in NOISES}
     scored = Scored((world,), [show(world, small, answer, problem.floor)], tuple(answer), True)
     return figures(scored, problem.floor, noises, 0)[0].shrink
+
+
+SEEN = 25.0
+"""2 log likelihood ratio from which a run shows an effect, were nothing else wrong with the robot."""
+
+
+def shown(runs: Sequence[Run], answer: Effects) -> float | None:
+    """2 log likelihood ratio of the true effects, by what they change in the readings; None of those that add noise."""
+    if not answer or all(EFFECTS[name].noise_only for name in answer):
+        return None
+    worlds = tuple(make_world(run, restarts_of(run)) for run in runs)
+    problem, total = with_floor(Problem(worlds, Floor({}, {}, {}), runs[0].meta.effects), answer), 0.0
+    if worlds[0].run.commands is not None:
+        problem = replace(problem, worlds=tuple(world.with_drive({}) for world in worlds))
+    for scope in ("wheels", "body"):
+        apart = [whitened(problem, model, (), scope)[0] for model in ({}, {k: dict(v) for k, v in answer.items()})]
+        for without, beside in zip(*apart, strict=True):
+            total += sum(float(np.sum((one.residual - beside[name].residual) ** 2)) for name, one in without.items())
+    return total
 
 
 @dataclass(frozen=True)
@@ -243,8 +263,14 @@ def table(lines: Sequence[dict[str, Any]]) -> None:
     """Means per stratum (z: root mean square; shrunk: median), then what all strata say together."""
     print("| stratum | n | " + " | ".join(COLUMNS) + " | calibration |")
     print("|" + " --- |" * (len(COLUMNS) + 3))
-    for stratum in dict.fromkeys(line["stratum"] for line in lines):
-        mine = [line for line in lines if line["stratum"] == stratum]
+    groups = {
+        name: [one for one in lines if one["stratum"] == name] for name in dict.fromkeys(x["stratum"] for x in lines)
+    }
+    for name, every in list(groups.items()):
+        hidden = [one for one in every if one.get("llr2") is not None and one["llr2"] < SEEN]
+        if hidden:
+            groups |= {f"{name}, shown": [one for one in every if one not in hidden], f"{name}, not shown": hidden}
+    for stratum, mine in groups.items():
         cells = []
         for name in COLUMNS:
             values = [line["row"][name] for line in mine if name in line["row"]]
@@ -306,6 +332,7 @@ def main() -> None:
         line = {"stratum": stratum, "label": label, "outside": outside, "row": row}
         line |= {"answer": {name: dict(values) for name, values in answer.items()}, "told": told(found)}
         line["pairs"] = pairs(found, answer, outside)
+        line["llr2"] = shown(runs, answer) if "small" in stratum else None
         line["immaterial"] = [one.effect for one in found.immaterial]
         lines.append(line)
         print(

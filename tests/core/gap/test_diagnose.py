@@ -123,7 +123,11 @@ def test_bad_input_is_refused_with_advice() -> None:
         diagnose([run, dataclasses.replace(run, commands=None)])
     with pytest.raises(NotEnoughDataError, match="too few"):
         diagnose([run.crop(0.0, 2.0)])
-    assert run.imu is not None and run.truth is not None
+    assert run.imu is not None and run.truth is not None and run.beacon is not None and run.commands is not None
+    with pytest.raises(ParameterError, match=r"beacon of .* 3\.\d s after it: their clocks do not match"):
+        diagnose([dataclasses.replace(run, beacon=dataclasses.replace(run.beacon, t=run.beacon.t + 3.0))])
+    with pytest.raises(ParameterError, match=r"commands of .* 2\.0 s after it"):
+        diagnose([dataclasses.replace(run, commands=dataclasses.replace(run.commands, t=run.commands.t + 2.0))])
     with pytest.raises(MissingStreamError, match=r"imu\.gz of .* holds no value"):
         diagnose([dataclasses.replace(run, imu=dataclasses.replace(run.imu, gz=np.full(len(run.imu), np.nan)))])
     with pytest.raises(ParameterError, match=r"imu of .* 2\.0 s after it: their clocks do not match"):
