@@ -48,6 +48,7 @@ class Assumptions:
     range_scale_sd: float = 0.03  # relative, speed of sound or clock
     range_bias_sd: float = 0.2  # m, of all ranges alike
     delay_sd: float = 0.02  # s, of the beacon system
+    clock: float = 0.002  # s, of the stamps of IMU or wheels, by which poses are given
     lasting_fix: float = 0.0  # m, error of fixes that lasts
     lasting_range: float = 0.0  # m, error of one beacon's ranges that lasts
     lasting_time: float = 10.0  # s, how long

@@ -57,7 +57,8 @@ def _goes_on(d: Disturbance, blow: Disturbance) -> bool:
         return True
     if blow.kind == BOUNCE or d.kind == PUSHED:
         return False
-    heals = d.t0 + 0.08 < blow.t0 and d.along * blow.along > 0.0 and blow.peak < GRIP
+    # Wheels that ran away from the ground first, the way of the blow: what followed is tyres dragging the body along.
+    heals = d.t0 < blow.t0 and d.along * blow.along > 0.0 and blow.peak < GRIP
     return heals or (blow.along * blow.wheels > 0.0 and abs(blow.wheels) > 0.05)
 
 

@@ -22,6 +22,7 @@ from core.estimation.fusion.layout import (
     AX,
     BA,
     CARRIED,
+    CLOCK_VAR,
     COAST,
     FIX,
     GATE1,
@@ -175,12 +176,15 @@ def _move(t: float, kind: int, a: Any, flags: int, x: Any, P: Any, n: int, mem: 
 
 
 @njit(error_model="numpy", forceinline=True)
-def _write(x: Any, P: Any, n: int, row: int, at: int, out: Any, rec: Any) -> None:
-    """A row of the path; at >= 0: what the smoother needs of it."""
+def _write(x: Any, P: Any, n: int, mem: Any, c: Any, row: int, at: int, out: Any, rec: Any) -> None:
+    """A row of the path; at >= 0: what the smoother needs of it. A stamp is only as good as its clock: what the body
+    moves in that time is added to the claim, as nothing that comes later can tell it."""
+    w = (0.0 if mem[RESTING] != 0.0 else mem[GZ] - x[B]) if c[HAS_GYRO] != 0.0 else -x[B]
+    drift = (x[V] * math.cos(x[TH]), x[V] * math.sin(x[TH]), w)
     for i in range(3):
         out.rows[row, i] = x[i]
         for j in range(3):
-            out.covariance[row, i, j] = P[i * N + j]
+            out.covariance[row, i, j] = P[i * N + j] + c[CLOCK_VAR] * drift[i] * drift[j]
     out.rows[row, 3] = x[B]
     out.rows[row, 4] = P[B * N + B]
     if at >= 0:
@@ -230,7 +234,7 @@ def _entry_point(digest: int) -> Callable[..., int]:
                         state = V if i else B
                         z, r = (0.0, c[R_STILL]) if i else (a[0], c[R_RATE])
                         correct_state(x, P, n, state, z - x[state], r, work, rec, k)
-                _write(x, P, n, row, row - row0 if record else -1, out, rec)
+                _write(x, P, n, mem, c, row, row - row0 if record else -1, out, rec)
                 row += 1 + 0 * digest
                 if a[LEAP_VAR] > 0.0:
                     P[X * N + X] += a[LEAP_VAR]

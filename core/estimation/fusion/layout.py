@@ -74,14 +74,15 @@ class Constants(NamedTuple):
     stubborn: float  # s for which fixes that leapt without reason are not believed
     leap: float  # m/s: a robot that fixes move faster than that has not moved
     coast: float  # s without trusted wheels, for which the accelerometer carries the speed
+    clock_var: float = 0.0  # s^2 of the stamps that poses are given for
 
 
 (
     HAS_GYRO, HAS_ACCEL, INVERSE_TRACK, TAG_X, TAG_Y, TAG_Z, TAU, SILENCE, HOLD, Q_PAUSE, Q_SPEED, Q_ACCEL,
     Q_TILT, Q_TURN, Q_GYRO, Q_BIAS, Q_SCALE, Q_SLIP, Q_SIDE, Q_SKID, Q_SLIDE, Q_CARRIED, Q_CARRIED_TURN,
     R_DISTANCE, R_TURN, R_RATE, R_STILL, R_FIX, R_FIX_THETA, R_RANGE, OFFSET_VAR, OFFSET_TAU, FIRST_OFFSET,
-    GATE1, GATE2, GATE3, PATIENCE, PATIENCE_REST, STUBBORN, LEAP, COAST,
-) = range(41)  # fmt: skip
+    GATE1, GATE2, GATE3, PATIENCE, PATIENCE_REST, STUBBORN, LEAP, COAST, CLOCK_VAR,
+) = range(42)  # fmt: skip
 """Places of the constants in the array that the compiled filter takes."""
 
 WHEEL, FIX, RANGE, OUT = range(4)

@@ -232,6 +232,8 @@ def _constants(run: Run, events: Events, numbers: Assumptions, rest: Rest | None
         stubborn=numbers.stubborn,
         leap=numbers.leap,
         coast=numbers.coast,
+        clock_var=numbers.clock**2
+        + (0.25 / rate if rate > 0 else 0.0) ** 2,  # a reading may be the mean of its interval
     )
     return np.array(constants, np.float64)
 

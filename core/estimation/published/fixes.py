@@ -6,6 +6,8 @@ that all readings are as of the round's end.
 
 from __future__ import annotations
 
+import functools
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -46,8 +48,14 @@ class BeaconFixes:
 
     def fix(self, k: int, turn: float) -> tuple[Array, Array]:
         """Positions without a heading are (2,)."""
-        z = self.z[k] if np.isfinite(self.z[k, 2]) else self.z[k, :2]
-        return z, np.diag(np.square((self.sd[0], self.sd[0], self.sd[1])[: len(z)]))
+        z = self.z[k]
+        if not math.isnan(z[2]):
+            return z, self._noise
+        return z[:2], self._noise[:2, :2]
+
+    @functools.cached_property
+    def _noise(self) -> Array:
+        return np.diag(np.square((self.sd[0], self.sd[0], self.sd[1])))
 
 
 @dataclass(frozen=True)

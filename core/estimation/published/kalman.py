@@ -21,7 +21,7 @@ class PoseFilter:
     def __init__(self, pose: Array, covariance: Array, tag: Array) -> None:
         self._kf = ExtendedKalmanFilter(dim_x=3, dim_z=3)
         self._kf.B = np.eye(3)
-        self._tag = tag
+        self._tag = (float(tag[0]), float(tag[1]))
         self.replace(pose, covariance)
 
     @property
@@ -37,49 +37,75 @@ class PoseFilter:
     def replace(self, pose: Array, covariance: Array) -> None:
         """The position data is replaced."""
         self._kf.x, self._kf.P = pose.copy(), covariance.copy()
+        self._moved()
 
     def predict(self, step: Array, covariance: Array) -> None:
         """By a motion (3,) in the body's frame, covariance (3, 3) there: eq. (1), eq. (4), eq. (5) lines 1 and 2."""
-        kf, theta = self._kf, self.pose[2]
+        kf, theta, (forward, left, turn) = self._kf, float(self._kf.x[2]), step.tolist()
         cos, sin = math.cos(theta), math.sin(theta)
-        dx, dy = cos * step[0] - sin * step[1], sin * step[0] + cos * step[1]
+        dx, dy = cos * forward - sin * left, sin * forward + cos * left
         R = np.array(((cos, -sin, 0.0), (sin, cos, 0.0), (0.0, 0.0, 1.0)))
         kf.F = np.array(((1.0, 0.0, -dy), (0.0, 1.0, dx), (0.0, 0.0, 1.0)))
         kf.Q = R @ covariance @ R.T
         # filterpy adds F x, which for this F is x + (-dy theta, dx theta, 0).
-        kf.predict(u=np.array((dx + dy * theta, dy - dx * theta, step[2])))
+        kf.predict(u=np.array((dx + dy * theta, dy - dx * theta, turn)))
+        self._moved()
 
     def expected(self, rows: int = 3) -> Array:
         """The fix that the pose makes expect: tag position, and heading where rows is 3."""
-        (x, y, theta), (tx, ty) = self.pose, self._tag
-        cos, sin = math.cos(theta), math.sin(theta)
-        return np.array((x + cos * tx - sin * ty, y + sin * tx + cos * ty, theta))[:rows]
+        return self._look()[0][:rows]
 
     def distance(self, z: Array, R: Array) -> float:
         """Squared innovation over its covariance."""
-        y = _residual(z, self.expected(len(z)))
-        if not np.abs(y).max() < ABSURD:
+        y, S = self._judge(z, R)
+        if not max(map(abs, y)) < ABSURD:
             return math.inf
-        H = self._jacobian(len(z))
-        return float(y @ np.linalg.solve(H @ self.covariance @ H.T + R, y))
+        a, b = S[0][0], S[0][1] / S[0][0]  # by L D L', written out
+        d = S[1][1] - b * S[0][1]
+        e = y[1] - b * y[0]
+        total = y[0] * y[0] / a + e * e / d
+        if len(y) == 3:
+            c = S[0][2] / a
+            f = (S[1][2] - c * S[0][1]) / d
+            last = y[2] - c * y[0] - f * e
+            total += last * last / (S[2][2] - c * S[0][2] - f * f * d)
+        return total
 
     def scores(self, z: Array, R: Array) -> Array:
         """(2,) signed innovations of the position, each over its own sd; NaN for a fix that is none."""
-        y = _residual(z, self.expected(len(z)))[:2]
-        H = self._jacobian(2)
-        sd = np.sqrt(np.diag(H @ self.covariance @ H.T + R[:2, :2]))
-        return np.where(np.abs(y) < ABSURD, y / sd, np.nan)
+        y, S = self._judge(z, R)
+        return np.array([y[k] / math.sqrt(S[k][k]) if abs(y[k]) < ABSURD else math.nan for k in range(2)])
 
     def update(self, z: Array, R: Array) -> None:
         """Eq. (5), lines 3 to 5, with a fix z (3,) or (2,)."""
         rows = len(z)
-        self._kf.update(z, lambda _: self._jacobian(rows), lambda _: self.expected(rows), R, residual=_residual)
+        expected, H = self._look()
+        self._kf.update(z, lambda _: H[:rows], lambda _: expected[:rows], R, residual=_residual)
+        self._moved()
 
-    def _jacobian(self, rows: int) -> Array:
-        theta, (tx, ty) = self.pose[2], self._tag
-        cos, sin = math.cos(theta), math.sin(theta)
-        H = ((1.0, 0.0, -sin * tx - cos * ty), (0.0, 1.0, cos * tx - sin * ty), (0.0, 0.0, 1.0))
-        return np.array(H)[:rows]
+    def _moved(self) -> None:
+        """What was seen from the old pose no longer holds."""
+        self._seen: tuple[Array, Array] | None = None
+        self._judged: tuple[Array, list[float], list[list[float]]] | None = None
+
+    def _look(self) -> tuple[Array, Array]:
+        """The expected fix with heading (3,), and its derivative (3, 3); once per pose."""
+        if self._seen is None:
+            (x, y, theta), (tx, ty) = self._kf.x.tolist(), self._tag
+            cos, sin = math.cos(theta), math.sin(theta)
+            ax, ay = cos * tx - sin * ty, sin * tx + cos * ty
+            H = np.array(((1.0, 0.0, -ay), (0.0, 1.0, ax), (0.0, 0.0, 1.0)))
+            self._seen = np.array((x + ax, y + ay, theta)), H
+        return self._seen
+
+    def _judge(self, z: Array, R: Array) -> tuple[list[float], list[list[float]]]:
+        """Innovation and its covariance, as plain numbers; once per fix."""
+        if self._judged is None or self._judged[0] is not z:
+            expected, H = self._look()
+            H = H[: len(z)]
+            S = H @ self._kf.P @ H.T + R
+            self._judged = z, _residual(z, expected[: len(z)]).tolist(), S.tolist()
+        return self._judged[1:]
 
 
 def _residual(z: Array, expected: Array) -> Array:
