@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from core.gap.discrepancy import flaws
 from core.gap.fit import Fit, with_trifles, without
-from core.gap.floor import Floor
+from core.gap.floor import Floor, rounding_of
 from core.gap.linear import Problem, White, whitened
 from core.gap.world import World
 from core.robot import EffectSet
@@ -126,12 +126,24 @@ def drift_costs(problem: Problem, t: Array, values: Array, densities: Array = DE
     By means over SECOND; of a body that smoothed wheels drive by the angle that they add up to, which sways and stays.
     """
     at, mean, count = block_means(t, values)
-    variance = problem.floor.sigma["imu.gz"] ** 2 / count
+    variance = problem.floor.sigma["imu.gz"] ** 2 / count + stuck(problem)
     if "imu.gz" not in problem.floor.sway:
         return walk_costs(at, mean, variance, densities)
     sway, pace = problem.floor.sway["imu.gz"]
     swing = (sway / pace) ** 2 + max(rounded_turn(world) for world in problem.worlds) ** 2
     return angle_costs(at, np.cumsum(mean) * SECOND, variance * SECOND**2, swing, densities)
+
+
+def stuck(problem: Problem) -> float:
+    """Variance [rad²/s²] of what coarse rounding adds to a gyro that its noise does not shake loose, alike for long.
+
+    The first harmonic of the rounding's error, fading with the noise (Widrow & Kollár 2008, ch. 5).
+    """
+    step = max(rounding_of(world.readings["imu.gz"]) for world in problem.worlds if "imu.gz" in world.readings)
+    if step == 0.0:
+        return 0.0
+    noise = max(problem.floor.sigma["imu.gz"] ** 2 - step**2 / 12.0, 0.0)
+    return 0.5 * (step / np.pi) ** 2 * float(np.exp(-4.0 * np.pi**2 * noise / step**2))
 
 
 def rounded_turn(world: World) -> float:

@@ -347,7 +347,7 @@ def main() -> None:
             say = json.loads((chosen.shared / "answers" / f"{folder.name}.json").read_text())
             answer = {one["effect"]: one["parameters"] for one in say["effects"]}
             runs = [read_run(path) for path in sorted((folder / "fit").iterdir())]
-            add("shared", (runs, read_run(folder / "heldout"), answer, say["label"]), bool(say["outside"]))
+            add("shared", (runs, read_run(folder / "heldout"), answer, say["label"], answer), bool(say["outside"]))
     for stratum in chosen.strata.split(",") if chosen.strata else ():
         for case in cases(stratum, range(chosen.first, chosen.first + chosen.cases)):
             add(stratum, case, stratum == "open")
