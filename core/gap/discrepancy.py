@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scipy.signal import lfilter
 
 from core.effects import EFFECTS
-from core.gap.generic import displaced, felt, regressors, seen
+from core.gap.generic import displaced, felt, later, regressors, seen
 from core.gap.linear import Problem, White
 from core.gap.whiten import events_of, imu_sigma, residuals_of, white_imu, white_poses, white_wheels
 from core.gap.world import IMU, WHEELS, World
@@ -109,11 +109,16 @@ def _of_body(problem: Problem, world: World, model: EffectSet) -> dict[str, Whit
         (zero, zero, BEND * np.gradient(r["alpha"]) / rate),
     )
     index, out = np.arange(len(motions)), {}
+    lagging = world.body([problem.overlay(later(model, LAG), "body")])
     for name in (name for name in IMU if name in world.readings):
         sigma = imu_sigma(world, name, body, problem.floor)
         rows = np.array([felt(world, name, motion, r)[world.keep(name)] for motion in motions])
+        shift = world.channel(lagging, name)[0] - world.channel(body, name)[0]
         if name == "imu.gz":
-            rows = np.vstack((rows, -CLOCK * r["alpha"][world.keep(name)]))
+            rows[1] = shift
+            rows = np.vstack((rows, shift * (CLOCK / LAG)))
+        else:
+            rows[0] = shift - rows[1]
         white = white_imu(world, name, rows, sigma, problem.floor)
         out[name] = White(world.times[name], np.zeros(len(sigma)), white, np.arange(len(white)))
     still: Mapping[str, Array] = {name: np.zeros((1, len(world.run.wheels or ()))) for name in WHEELS}

@@ -226,6 +226,7 @@ def _walking(body: Found, left: Rest) -> Scatter | None:
     bare = refit(body.problem, rest, "body", 2) if mean else body.fit
     bare_left = gyro_left(body.problem, bare)
     walk, gain = gyro_walk(body.problem, bare_left)
+    left = rest_of(body.problem, bare) if mean and walk is not None else left
     shaped = max((value for shape, value in left.shapes if stream_of(shape) == "imu.gz"), default=0.0)
     if walk is None or gain < shaped:
         return None

@@ -119,7 +119,51 @@ def motion_shapes(r: Mapping[str, Array]) -> dict[Shape, tuple[Array, Array, Arr
     out = {Shape("body.w", regressor, text): (zero, zero, value) for regressor, text, value in turns}
     out |= {Shape("body.v", regressor, text): (value, zero, zero) for regressor, text, value in ways}
     out |= {Shape("body.vy", regressor, text): (zero, value, zero) for regressor, text, value in sides}
+    out[Shape("body.v", "a", LAGS)] = (-YIELDS * a, zero, -YIELDS * r["alpha"])
     return out
+
+
+YIELDS, LAGS = 0.02, "its own lag"
+"""A body that follows its wheels so much later [s], on tyres that yield, and how that is told."""
+
+
+def later(model: EffectSet, seconds: float) -> EffectSet:
+    """The model with its IMU's stamps later: what an IMU feels of a body that lags as a whole, edges and all."""
+    offset = float(model.get("imu_clock", {}).get("offset", 0.0))
+    return {**model, "imu_clock": {"offset": offset + seconds}}
+
+
+NEAR = 0.5
+"""Width of a place that a gyro may be disturbed at [m]."""
+
+
+def found_shapes(world: World, residual: Array, r: Mapping[str, Array]) -> dict[Shape, Array]:
+    """Shapes of the gyro's offset that are looked for in what is left: a step in time, and a place (a magnet)."""
+    t, keep = world.body_inputs.imu, world.keep("imu.gz")
+    length = max(SHORTEST, float(t[-1] - t[0]) / BLOCKS)
+    number = np.floor(t[keep] / length)
+    cuts = np.flatnonzero(np.diff(number, prepend=-1.0))
+    count = np.diff(np.append(cuts, len(number)))
+    size = np.minimum(np.abs(residual), 4.0 * max(float(np.median(np.abs(residual))), 1e-9)) * np.sign(residual)
+    total = np.add.reduceat(size, cuts)
+    if len(cuts) < MANY:
+        return {}
+    left, n = total.sum() - np.cumsum(total), np.maximum(count.sum() - np.cumsum(count), 1)
+    k = int(np.argmax((left**2 / n)[EDGE:-EDGE])) + EDGE
+    out = {Shape("imu.gz", "t", "a step"): (t >= t[keep][cuts[k + 1]]).astype(float)}
+    if "x" in r:
+        x, y = (r[name][keep][cuts + count // 2] for name in ("x", "y"))
+        near = np.exp(-0.5 * ((x[:, None] - x) ** 2 + (y[:, None] - y) ** 2) / NEAR**2)
+        best = int(np.argmax((near @ total) ** 2 / np.maximum(near**2 @ count, 1e-9)))
+        far = (r["x"] - x[best]) ** 2 + (r["y"] - y[best]) ** 2
+        out[Shape("imu.gz", "x", "near a place")] = np.exp(-0.5 * far / NEAR**2)
+    return out
+
+
+SHORTEST, BLOCKS = 0.1, 600.0
+"""What is left is looked at in blocks of so many seconds, or so many of them."""
+MANY, EDGE = 100, 30
+"""A run of fewer blocks shows no step, nor do so many at its ends."""
 
 
 def wheel_shapes(world: World, name: str, predicted: Array) -> dict[Shape, Array]:
@@ -246,13 +290,21 @@ def _body_rows(problem: Problem, world: World, model: EffectSet, sizes: Sizes) -
     )
     events = events_of(world, body, problem.floor, residuals)
     motions = motion_shapes(r) if r else {}
+    if r and "imu.gz" in rows:
+        for shape, value in found_shapes(world, residuals["imu.gz"], r).items():
+            rows["imu.gz"].append((shape, value[world.keep("imu.gz")]))
+            _add(sizes, shape, value)
+    shifted = world.body([problem.overlay(later(model, YIELDS), "body")]) if motions and sigma else body
     for shape, motion in motions.items():
         _add(sizes, shape, motion[0] + motion[1] + motion[2])
     if motions:
         for name in sigma:
             keep = world.keep(name)
             for shape, motion in motions.items():
-                rows[name].append((shape, felt(world, name, motion, r)[keep]))
+                value = felt(world, name, motion, r)[keep]
+                if shape.text == LAGS:  # edges and all
+                    value = world.channel(shifted, name)[0] - world.channel(body, name)[0]
+                rows[name].append((shape, value))
     for name in sigma:
         white = white_imu(world, name, np.array([row for _, row in rows[name]]), sigma[name], problem.floor)
         rows[name] = [(shape, row) for (shape, _), row in zip(rows[name], white, strict=True)]

@@ -109,6 +109,11 @@ ALIKE = {"command_delay": ("motor_lag", "tau"), "motor_lag": ("command_delay", "
 
 def is_material(effect: str, values: Mapping[str, float | str], known: EffectSet, reach: Reach, config: Config) -> bool:
     """Whether an effect is larger than its tolerance, against what the simulator already models."""
+    return size_of(effect, values, known, reach, config) > 1.0
+
+
+def size_of(effect: str, values: Mapping[str, float | str], known: EffectSet, reach: Reach, config: Config) -> float:
+    """How many times its tolerance an effect is, against what the simulator already models."""
     definition = EFFECTS[effect]
     base = {**definition.neutral, **known.get(effect, {})}
     ratios = []
@@ -129,8 +134,23 @@ def is_material(effect: str, values: Mapping[str, float | str], known: EffectSet
         "beacon_shadow",
         "accel_scale",
     ):
-        return float(np.linalg.norm(ratios)) > 1.0
-    return max(abs(r) for r in ratios) > 1.0
+        return float(np.linalg.norm(ratios))
+    return max((abs(r) for r in ratios), default=0.0)
+
+
+CLOSE = 0.25
+"""Share of its tolerance to which an effect's size is its own: ordinary flaws of a plant add up to that beside it."""
+
+
+def clear_of_small(effect: str, size: float, values: Mapping[str, Value]) -> float:
+    """Probability that an effect is a cause and no ordinary flaw: by how far its size is clear of its tolerance."""
+    sd = [
+        float(values[p.name].std or 0.0) / p.small
+        for p in EFFECTS[effect].parameters
+        if p.small and not p.small_of_reach and p.name in values
+    ]
+    spread = float(np.hypot(min(max(sd, default=0.0), CLOSE), CLOSE))
+    return float(ndtr((size - 1.0) / spread - 1.0))
 
 
 RARE = 2.0

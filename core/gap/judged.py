@@ -11,7 +11,7 @@ from scipy.special import ndtr
 from core.effects import EFFECTS
 from core.gap.candidates import Reach
 from core.gap.explain import Search
-from core.gap.judge import SURE, beyond, is_material, probabilities, unlisted, values_of
+from core.gap.judge import SURE, beyond, clear_of_small, is_material, probabilities, size_of, unlisted, values_of
 from core.gap.leftover import unknown_of
 from core.gap.types import Config, Unexplained, Value
 from core.robot import EffectSet
@@ -60,6 +60,8 @@ def judged(found: Search, reach: Reach, known: EffectSet, config: Config) -> Jud
     unexplained, doubt = unknown_of(found, material)
     chances = probabilities(found.links, material, doubt)
     chances |= {name: chances[name] * beyond(name, values[name]) for name in noises if name in chances}
+    sizes = {name: size_of(name, model[name], known, reach, config) for name in material if name in model}
+    chances |= {name: chances[name] * clear_of_small(name, size, values[name]) for name, size in sizes.items()}
     chances |= {name: _clear_of(name, trifles[name], known, config) for name in finer}
     fitted = {name: model[name] for name in model if name in material and chances.get(name, 0.0) > 0.5}
     small: dict[str, Mapping[str, float | str]] = {name: model[name] for name in model if name not in material}

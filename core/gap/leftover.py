@@ -9,10 +9,12 @@ import numpy as np
 from core.effects import EFFECTS
 from core.gap.explain import Search
 from core.gap.fit import refit
+from core.gap.generic import TRIFLE
 from core.gap.linear import HUBER
 from core.gap.selection import Found
 from core.gap.types import Unexplained
 from core.gap.unknown import CHANCE, LEFTOVER, depends_on, rest_of, strange, strangeness, stream_of, touching, words
+from core.gap.world import IMU
 
 
 def chance_of_unknown(found: Search) -> float:
@@ -23,7 +25,9 @@ def chance_of_unknown(found: Search) -> float:
         if one.unknown is not None:
             best = max(best, strange(one.unknown[1], np.inf, CHANCE, explained))
         else:
-            best = max(best, strangeness(found.rests[scope], _bar(found, one), explained), inexact(one))
+            best = max(
+                best, strangeness(found.rests[scope], _bar(found, one), explained), inexact(one), coloured(one)[1]
+            )
     return best
 
 
@@ -48,6 +52,42 @@ def _squares(loss: float, n: float) -> float:
     return loss if mean <= HUBER**2 else n * ((mean + HUBER**2) / (2.0 * HUBER)) ** 2
 
 
+def coloured(one: Found) -> tuple[str, float]:
+    """The axis of the IMU that keeps most beyond its noise, of no shape that is known, and the probability that this is
+    something unlisted: a mount that rings, a clock that wanders. Noise itself is measured, whatever its size."""
+    normal, best = one.fit.normal, ("", 0.0)
+    explained = sum(one.earned.values())
+    for name, n, c in zip(normal.channels, normal.n.sum(axis=1), normal.c.sum(axis=1), strict=True):
+        if name in IMU and c > LOUD * n:
+            size = one.problem.floor.sigma[name] * float(np.sqrt(c / n - 1.0)) / (ROUGH * TRIFLE[name])
+            best = max(best, (name, strange(float(c - n), size, CHANCE, explained)), key=lambda pair: pair[1])
+    return best
+
+
+ROUGH = 3.0
+"""So many times what is immaterial of a shape may be left of an axis in jolts and edges."""
+
+
+def rivalled(one: Found) -> dict[str, float]:
+    """Probability per effect that a shape of no list is what it stands for: by what both bring, refitted.
+
+    For a pair that was found together nothing is told: no single shape is the rival of two.
+    """
+    out = {}
+    for step in one.steps:
+        name = step.action.removeprefix("add ")
+        own = dict(step.gains).get(name, 0.0)
+        if name in one.fit.model and step.shape > 0.0 and own > 0.0:
+            lead = own * AHEAD + SHAPES - step.shape
+            out[name] = float(1.0 / (1.0 + np.exp(np.clip(lead / (2.0 * (1.0 + COARSE * own)), -40.0, 40.0))))
+    return out
+
+
+AHEAD, COARSE, SHAPES = 1.01, 0.0025, 5.0
+"""A listed effect and a shape are as likely where the shape brings one hundredth more; shapes are known to a quarter of
+that, for they are linear. There are a dozen in a channel: twice the logarithm of that is theirs by chance."""
+
+
 LOUD, HALF = 1.5, 0.3
 """Mean square from which a rest is no matter of noise; and its share of all, explained and not, that makes a model as
 likely as not to be another's stand-in."""
@@ -65,6 +105,9 @@ def unknown_of(found: Search, material: Sequence[str]) -> tuple[Unexplained | No
     best: tuple[float, Unexplained] | None = None
     for scope, one in zip(("wheels", "body")[-len(found.links) :], found.links, strict=True):
         doubt |= {name: inexact(one, EFFECTS[name].streams) for name in one.fit.model if name in material}
+        for name, chance in rivalled(one).items():
+            if name in material:
+                doubt[name] = max(doubt.get(name, 0.0), chance)
         if one.unknown is not None:
             shape, gain = one.unknown
             told = Unexplained(stream_of(shape), depends_on(shape), words(shape, gain, 1.0), 1.0)
@@ -94,4 +137,10 @@ def unknown_of(found: Search, material: Sequence[str]) -> tuple[Unexplained | No
         told = Unexplained(stream, depends_on(shape), words(shape, gain, share), share)
         if best is None or gain > best[0]:
             best = (gain, told)
+    stream, chance = max((coloured(one) for one in found.links), key=lambda pair: pair[1])
+    if best is None and chance > 0.5:
+        best = (
+            0.0,
+            Unexplained(stream, ("t",), f"{stream} keeps far more than its noise, of no shape known here", 1.0),
+        )
     return (best[1] if best else None), doubt

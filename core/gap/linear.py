@@ -283,9 +283,16 @@ def loss(residual: Array) -> Array:
 
 
 def normal_equations(
-    white: Sequence[Mapping[str, White]], keys: Sequence[str], logs: float = 0.0, by_block: bool = False
+    white: Sequence[Mapping[str, White]],
+    keys: Sequence[str],
+    logs: float = 0.0,
+    by_block: bool = False,
+    judged: Sequence[Mapping[str, White]] = (),
 ) -> Normal:
-    """Sums over readings, by channel; and by block of BLOCK, where asked for, else over each run."""
+    """Sums over readings, by channel; and by block of BLOCK, where asked for, else over each run.
+
+    judged: the same with the residuals by which readings are told to lie far off, where those are others.
+    """
     names = tuple(name for name in (*WHEELS, *IMU, *POSES) if any(name in one for one in white))
     length = BLOCK if by_block else np.inf
     blocks = [
@@ -301,7 +308,8 @@ def normal_equations(
             if name not in one or not len(one[name].t):
                 continue
             w = one[name]
-            weight = HUBER / np.maximum(np.abs(w.residual), HUBER)
+            far = judged[k][name].residual if judged else w.residual
+            weight = HUBER / np.maximum(np.abs(far), HUBER)
             pull, losses, weighted = w.residual * weight, loss(w.residual), w.columns * weight
             number = np.floor(np.maximum(w.t, 0.0) / length).astype(int)
             cuts = np.append(np.flatnonzero(np.diff(number, prepend=-1)), len(w.t)) if by_block else [0, len(w.t)]

@@ -12,15 +12,26 @@ import numpy.typing as npt
 from core.effects import EFFECTS
 from core.gap.candidates import SEARCHED, Candidate
 from core.gap.discrepancy import flaws
-from core.gap.fit import Fit, fit_at, lost, parameters_of, refit, with_trifles, without
-from core.gap.generic import TRIFLE, Shape
-from core.gap.linear import HUBER, Model, Problem, cost_at, linearised, nuisances_of, secants_of, with_floor
+from core.gap.fit import FAR, Fit, fit_at, lost, parameters_of, refit, with_trifles, without
+from core.gap.generic import Shape
+from core.gap.linear import (
+    HUBER,
+    Model,
+    Problem,
+    cost_at,
+    far_of,
+    linearised,
+    normal_equations,
+    nuisances_of,
+    secants_of,
+    with_floor,
+)
 from core.gap.places import placed, polish
+from core.gap.promise import crumbs_of, enough, excess, least_of, tolerated_of
 from core.gap.scatter import gyro_left, gyro_walk
 from core.gap.screen import Screen
 from core.gap.unknown import Rest, blocked_by, rest_of
 from core.gap.visible import Sight
-from core.gap.world import IMU, WHEELS
 from core.robot import EffectSet
 
 Array = npt.NDArray[np.float64]
@@ -47,10 +58,14 @@ POLISHED = 0.05
 
 @dataclass(frozen=True)
 class Step:
-    """One step of the search: what was compared, best first (effect, drop of cost), and what was done."""
+    """One step of the search: what was compared, best first (effect, drop of cost), and what was done.
+
+    shape: what the best shape of no listed effect would have brought in the channels of the effect that was added.
+    """
 
     action: str
     gains: tuple[tuple[str, float], ...] = ()
+    shape: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -98,7 +113,7 @@ def search(
         fresh = _fresh(tried, fit, unknown)
         problem, fit, screen = screened(problem, fit, [*fresh, *aside], scope)
         sight = Sight(screen.a, screen.own, tuple(fresh))
-        tolerated = tolerated or _tolerated(screen, fresh)
+        tolerated = tolerated or tolerated_of(screen, fresh)
         gain = screen.gains(fresh)
         paired = screen.pair(fresh, gain, PAIRED)
         if unknown is None and scope != "wheels":
@@ -118,6 +133,7 @@ def search(
         if fit.cost - best.cost < min(needed[one] for one in name.split("+")):
             break
         weighed = tuple((n, _priced(fit) + PRICE - _priced(one)) for both, one in fits for n in both.split("+"))
+        rest = None
         if unknown is None:
             rest = rest_of(problem, fit)
             unknown = _stranger(problem, rest, fit, best, paired[0])
@@ -131,7 +147,10 @@ def search(
                 steps.append(Step(f"unknown {unknown[0].key}", weighed))
                 continue
         added = name.split("+")  # the two of a pair are no rivals of each other
-        steps += [Step(f"add {one}", tuple(p for p in weighed if p[0] == one or p[0] not in added)) for one in added]
+        steps += [
+            Step(f"add {one}", tuple(p for p in weighed if p[0] == one or p[0] not in added), _rival(rest, one))
+            for one in added
+        ]
         best, dropped = _drop(problem, best, scope, worth, clear)
         steps += [Step(f"drop {one}") for one in dropped]
         best = _polished(problem, best, scope) if name == "slip_patch" else best
@@ -184,11 +203,11 @@ def _worthy(
 ) -> list[Candidate]:
     """Of candidates and their promised gains, those that are worth a fit."""
     fresh, gain = promised
-    gains, left, crumbs, dim = _best_of(fresh, gain), _excess(fit), _crumbs(problem, fit), screen.dim(fresh)
+    gains, left, crumbs, dim = _best_of(fresh, gain), excess(fit), crumbs_of(problem, fit), screen.dim(fresh)
     return [
         one
         for one in _starts(fresh, gain, min(worth.values(), default=WORTH))
-        if _enough(
+        if enough(
             one.effect, gains[one.effect], worth[one.effect], tolerated, left, crumbs if one.effect in dim else {}
         )
     ]
@@ -207,6 +226,9 @@ def screened(problem: Problem, fit: Fit, fresh: Sequence[Candidate], scope: str)
     white, normal = linearised(problem, fit.model, fresh, scope, more=flaws(problem, fit.model, scope))
     problem = dataclasses.replace(problem, nuisances=nuisances_of(white, normal))
     fit = refit(problem, fit.model, scope)
+    if problem.nuisances.keys and far_of(white) > FAR:  # what trifles explain lies far off no more
+        kept = without(white, problem.nuisances, fit.trifles)
+        normal = normal_equations(white, normal.keys, normal.logs, judged=kept)
     whole = [i for i, key in enumerate(normal.keys) if "*" in key]
     secants = {}
     if whole:
@@ -230,55 +252,6 @@ def _put(problem: Problem, fit: Fit, scope: str) -> tuple[list[Candidate], Array
 
 BESIDE = 0.25
 """Beside an unknown cause an effect must bring this share of what its shape takes: no shape is the whole of a cause."""
-LIMITS = ("speed_limit", "accel_limit", "gyro_clip")
-
-
-def _excess(fit: Fit) -> dict[str, float]:
-    """What a fit leaves of each channel above its noise."""
-    n, c = fit.normal.n.sum(axis=1), fit.normal.c.sum(axis=1)
-    over = np.maximum(c - n - 4.0 * np.sqrt(2.0 * n), 0.0)
-    over = np.where(c > HUBER**2 * n, 0.5 * over, over)  # linear there: a share of the squares is half of it
-    return dict(zip(fit.normal.channels, over.tolist(), strict=True))
-
-
-def _crumbs(problem: Problem, fit: Fit) -> dict[str, float]:
-    """Per IMU axis, the deviance that a shape of immaterial size brings."""
-    n = dict(zip(fit.normal.channels, fit.normal.n.sum(axis=1).tolist(), strict=True))
-    return {name: n[name] * (TRIFLE[name] / problem.floor.sigma[name]) ** 2 for name in IMU if name in n}
-
-
-def _enough(
-    effect: str,
-    gain: float,
-    worth: float,
-    tolerated: Mapping[str, float],
-    left: Mapping[str, float],
-    crumbs: Mapping[str, float],
-) -> bool:
-    """Whether an effect's promise is worth a fit.
-
-    It must take a good part of what is left of the channels that it moves: where little is taken, something else is at
-    work there. One that only the IMU sees, and not at its tolerance, must bring more than an immaterial shape that
-    is a little like it. A limit must bring what tolerated flaws of its channels would.
-    """
-    worth = _least(effect, worth, left, crumbs)
-    if effect in LIMITS:
-        worth = max(worth, CRUMB * max((tolerated.get(name, 0.0) for name in EFFECTS[effect].streams), default=0.0))
-    return gain >= worth
-
-
-def _least(effect: str, worth: float, left: Mapping[str, float], crumbs: Mapping[str, float]) -> float:
-    """What an effect must bring: a part of what is left of its channels; seen by the IMU alone, more than crumbs."""
-    moved = [name for name in EFFECTS[effect].streams if name in left]
-    part = TAKES["wheels" if moved and moved[0] in WHEELS else "body"]
-    worth = max(worth, part * max((left[name] for name in moved), default=0.0))
-    alone = bool(moved) and all(name in crumbs for name in moved)
-    return max(worth, ALIKE * min(crumbs[name] for name in moved)) if alone else worth
-
-
-ALIKE = 0.1
-"""Share of its deviance that a shape may have in common with an effect by chance."""
-CRUMB, TAKES = 0.25, {"wheels": 0.4, "body": 0.15}
 
 
 def _priced(fit: Fit) -> float:
@@ -295,7 +268,7 @@ def _masked(
 ) -> list[tuple[str, Fit]]:
     """Two effects that hide each other: worth it only together; none where there are no such."""
     gain, names = paired
-    if names is None or gain < sum(_least(name, worth, _excess(fit), _crumbs(problem, fit)) for name in names):
+    if names is None or gain < sum(least_of(name, worth, excess(fit), crumbs_of(problem, fit)) for name in names):
         return []
     starts = {one.effect: dict(one.start) for one in reversed(fresh) if one.effect in names}
     return [("+".join(names), refit(problem, {**fit.model, **starts}, scope, BRIEF))]
@@ -311,8 +284,8 @@ def _late(problem: Problem, fit: Fit, fresh: Sequence[Candidate], worth: float, 
         return []
     tried = [{name: {LATE[name]: by} for name in LATE} for by in (0.05, 0.3)]
     best = min((refit(problem, {**fit.model, **late}, scope, BRIEF) for late in tried), key=_priced)
-    left = _excess(fit)
-    if fit.cost - best.cost < max(_least(name, worth, left, {}) for name in LATE):
+    left = excess(fit)
+    if fit.cost - best.cost < max(least_of(name, worth, left, {}) for name in LATE):
         return []
     return [("+".join(LATE), best)]
 
@@ -333,22 +306,6 @@ def _earned(problem: Problem, fit: Fit, scope: str, steps: Sequence[Step]) -> di
     return out
 
 
-def _tolerated(screen: Screen, tried: Sequence[Candidate]) -> dict[str, float]:
-    normal, at = screen.normal, screen.own
-    found: dict[str, list[float]] = {name: [] for name in normal.channels}
-    for one in tried:
-        for name in one.keys:
-            parameter = name.split(".")[-1]
-            small = None if one.secant else EFFECTS[one.effect].parameter(parameter).small
-            if small is not None:
-                energy = np.einsum("ij->i", normal.a[:, :, at, at]) * small**2
-                for channel, value in zip(normal.channels, energy, strict=True):
-                    if value > 0.0:
-                        found[channel].append(float(value))
-            at += 1
-    return {name: float(np.median(values)) if values else 0.0 for name, values in found.items()}
-
-
 def _polished(problem: Problem, fit: Fit, scope: str, steps: Sequence[float] = (0.06, 0.03, 0.015)) -> Fit:
     """A slip patch whose edges have been moved one by one, then refitted."""
 
@@ -364,6 +321,15 @@ BEYOND, MARGIN = 1.02, 60.0
 """A shape that no listed effect has must beat the best of them by this factor and drop of deviance."""
 PAIRED = 8
 """So many of the best candidates are also tried in pairs."""
+
+
+def _rival(rest: Rest | None, effect: str) -> float:
+    """What the best shape of material size brings in the channels of an effect."""
+    mine = set(EFFECTS[effect].streams)
+    shapes = () if rest is None else rest.shapes
+    return max(
+        (v for s, v in shapes if blocked_by(s) & mine and rest and rest.sizes.get(s.key, 0.0) > 1.0), default=0.0
+    )
 
 
 def _drowned(rest: Rest, added: Sequence[str], gain: float) -> bool:

@@ -96,6 +96,8 @@ def rest_of(problem: Problem, fit: Fit) -> Rest:
     n, c = float(fit.normal.n.sum()), float(fit.normal.c.sum())
     if c > 2.0 * n:  # far residuals, little weighed, promise more than there is
         exact = [min(value, c - LEAST * n) for value in exact]
+        for k in np.argsort(-np.array(exact))[:REFITTED]:
+            exact[k] = min(exact[k], _among(white, generic, int(order[k]), m, fit, nuisances))
     ranked = sorted(zip(order.tolist(), exact, strict=True), key=lambda pair: -pair[1])
     excess = {name: float(sum(fit.normal.c[i]) - sum(fit.normal.n[i])) for i, name in enumerate(fit.normal.channels)}
     told = tuple((shapes[i], float(value)) for i, value in ranked if value > 0.0)
@@ -165,6 +167,53 @@ def _exact(white: Sequence[Mapping[str, White]], generic: Sequence[Mapping[str, 
         at = np.linalg.lstsq(a / np.outer(size, size), g / size, rcond=1e-12)[0] / size
         best = max(best, before - sum(float(np.sum(loss(r - at @ e))) for r, e in parts))
     return best
+
+
+def _among(
+    white: Sequence[Mapping[str, White]],
+    generic: Sequence[Mapping[str, White]],
+    shape: int,
+    own: int,
+    fit: Fit,
+    nuisances: Nuisances,
+) -> float:
+    """Drop of the cost by one shape with all that stands beside it, nuisances within their limits.
+
+    white: the residual beside the nuisances as fitted, which is where this begins.
+    """
+    beside = np.flatnonzero(nuisances.beside(list(fit.model)))
+    count, place = own + len(beside) + 1, np.full(len(nuisances.keys), -1)
+    place[beside] = own + np.arange(len(beside))
+    at = np.concatenate((np.zeros(own), fit.trifles[beside], [0.0]))
+    sd, limit = (np.concatenate((np.full(own, np.inf), v[beside], [np.inf])) for v in (nuisances.sd, nuisances.limit))
+    parts = []
+    for mine, theirs, flaws in zip(white, generic, nuisances.rows or ({},) * len(white), strict=True):
+        for name, one in mine.items():
+            index, columns = [one.index], [one.columns]
+            if name in flaws:
+                kept = place[flaws[name][1]] >= 0
+                index.append(place[flaws[name][1]][kept])
+                columns.append(flaws[name][0][kept])
+            if name in theirs and (theirs[name].index == shape).any():
+                index.append(np.array([count - 1]))
+                columns.append(theirs[name].columns[theirs[name].index == shape].sum(axis=0, keepdims=True))
+            every, rows = np.concatenate(index).astype(int), np.concatenate(columns)
+            parts.append((one.residual + at[every] @ rows, every, rows))
+
+    def cost(x: Array) -> float:
+        lost = sum(float(np.sum(loss(r - x[i] @ e))) for r, i, e in parts)
+        return lost + float(np.sum((x / sd) ** 2))
+
+    before = best = cost(at)
+    for _ in range(ROUNDS):
+        a, g = np.zeros((count, count)), np.zeros(count)
+        for r, i, e in parts:
+            weighted = e * (HUBER / np.maximum(np.abs(r - at[i] @ e), HUBER))
+            a[np.ix_(i, i)] += weighted @ e.T
+            g[i] += weighted @ r
+        at = bounded(a, g, sd, limit)[0]
+        best = min(best, cost(at))
+    return before - best
 
 
 STEEP = 2.0
@@ -238,6 +287,7 @@ def depends_on(shape: Shape) -> tuple[str, ...]:
     for token, name in (
         ("·t", "t"),
         ("t²", "t"),
+        ("place", "truth.y"),
         ("temperature", "imu.temperature"),
         ("w", "truth.w"),
         ("v", "truth.v"),

@@ -41,8 +41,8 @@ from core.gap.shrink import NOISES, Scored, figures, show  # noqa: E402
 from core.gap.types import Cause, Config, Immaterial, Unexplained  # noqa: E402
 from core.gap.world import make_world  # noqa: E402
 from core.run import Run  # noqa: E402
-from tests.plants.gap_draws import draw, plans  # noqa: E402
-from tests.plants.gap_plant import Effects, acting, record  # noqa: E402
+from tests.plants.gap_draws import draw, of_poses, plans  # noqa: E402
+from tests.plants.gap_plant import Effects, Plan, acting, record  # noqa: E402
 
 PLANT = (
     "null",
@@ -57,7 +57,7 @@ PLANT = (
     "streams",
     "streams null",
 )
-STRATA = (*PLANT, "mujoco null", "mujoco single", "mujoco small")
+STRATA = (*PLANT, "mujoco null", "mujoco single", "mujoco small", "mujoco pair", "mujoco open")
 USUAL = {
     "wheels": "motor_lag", "imu.gz": "gyro_bias", "imu.ax": "accel_bias", "imu.ay": "accel_bias",
     "beacon": "beacon_shift", "ranges": "range_bias", "truth": "track_width",
@@ -201,19 +201,30 @@ def score(
 
 
 def mujoco_cases(kind: str, seeds: range) -> Iterator[Case]:
-    """MuJoCo's robot with one change, or none."""
-    from tests.plants.gap_mujoco import PHYSICAL, Ride, leaning, ride_run
+    """MuJoCo's robots: with one change, two, one of no list, or none."""
+    from tests.plants.gap_mujoco import PHYSICAL, UNLISTED, leaning, ride_run
 
     for seed in seeds:
         rng = np.random.default_rng([seed, 11])
-        effects: Effects = {}
-        if kind != "mujoco null":
-            name = PHYSICAL[(seed * 11) % len(PHYSICAL)]
-            effects = draw(name, 2.5 if "small" in kind else float(rng.uniform(6.0, 30.0)), rng)
-        ride = Ride(seed, effects=effects)
-        runs = [ride_run(replace(ride, part=k, seconds=t)) for k, t in enumerate((50.0, 40.0, 40.0))]
-        answer = leaning(effects, seed)
-        yield runs[:2], runs[2], answer, "+".join(effects), answer
+        names: list[str] = []
+        effects: dict[str, dict[str, float | str]] = {}
+        outside: dict[str, float] = {}
+        if kind == "mujoco open":
+            names = [sorted(UNLISTED)[seed % len(UNLISTED)]]
+            outside = {names[0]: float(rng.uniform(*UNLISTED[names[0]]))}
+        elif kind != "mujoco null":
+            names = [PHYSICAL[(seed * 11) % len(PHYSICAL)]]
+            if kind == "mujoco pair":
+                names.append(str(rng.choice([n for n in PHYSICAL if n != names[0]])))
+            times = 2.5 if "small" in kind else float(np.exp(rng.uniform(np.log(6.0), np.log(30.0))))
+            for name in names:
+                effects |= {k: dict(v) for k, v in draw(name, times, rng).items()}
+        sensors = "both" if any(of_poses(n) for n in names) else str(rng.choice(["fix", "ranges", "both", "none"]))
+        plan = Plan(seed, effects=effects, outside=outside, sensors=sensors, ordinary=True)
+        rides = (("mixed", 50.0), ("turns", 40.0), ("stops", 40.0))
+        fit, more, held = [ride_run(replace(plan, profile=name, seconds=t)) for name, t in rides]
+        answer = leaning(plan)
+        yield [fit, more], held, answer, "+".join(names), answer
 
 
 def cases(stratum: str, seeds: range) -> Iterator[Case]:
@@ -350,7 +361,7 @@ def main() -> None:
             add("shared", (runs, read_run(folder / "heldout"), answer, say["label"], answer), bool(say["outside"]))
     for stratum in chosen.strata.split(",") if chosen.strata else ():
         for case in cases(stratum, range(chosen.first, chosen.first + chosen.cases)):
-            add(stratum, case, stratum == "open")
+            add(stratum, case, stratum.endswith("open"))
     table(lines)
 
 

@@ -163,7 +163,7 @@ def plans(kind: str, seed: int, ordinary: bool = True) -> tuple[list[Plan], Plan
         imu=kind != "no imu",
         commands=kind != "no commands",
         stated=float(rng.choice([1 / 1.5, 1.5])) if kind == "noise" else 1.0,
-        sensors="both" if any(_pose(n) for n in chosen) else str(rng.choice(["fix", "ranges", "both"])),
+        sensors="both" if any(of_poses(n) for n in chosen) else str(rng.choice(["fix", "ranges", "both"])),
         ordinary=ordinary,
     )
     fit = [replace(plan, profile="mixed", seconds=45.0), replace(plan, profile="turns", seconds=35.0)]
@@ -191,5 +191,6 @@ def _of_streams(seed: int, clean: bool, ordinary: bool) -> tuple[list[Plan], Pla
     return fit, replace(plan, profile="stops", seconds=40.0), effects, told
 
 
-def _pose(name: str) -> bool:
+def of_poses(name: str) -> bool:
+    """Whether fixes and ranges are needed to see this."""
     return any(part in name for part in ("fix", "beacon", "range", "anchor", "tag", "heading_echo"))

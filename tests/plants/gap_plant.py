@@ -237,13 +237,28 @@ def imu(plan: Plan, params: RobotParams, noise: Noise, body: dict[str, Floats], 
     fx, fy = fx + G * (sx * c + sy * s), fy + G * (sy * c - sx * s)
     yaw = params.imu.yaw + get(e, "imu_yaw", "angle", 0.0)
     ax, ay = math.cos(yaw) * fx + math.sin(yaw) * fy, math.cos(yaw) * fy - math.sin(yaw) * fx
+    return readings(plan, noise, stamps, real, (gz, ax, ay), np.interp(real, t, v), rng)
+
+
+def readings(
+    plan: Plan,
+    noise: Noise,
+    stamps: Floats,
+    real: Floats,
+    felt: tuple[Floats, Floats, Floats],
+    speed: Floats,
+    rng: np.random.Generator,
+) -> ImuLog:
+    """What an IMU's electronics make of what it feels (rate, specific force in its own axes), at instants `real`."""
+    e, kind, rate = acting(plan), rig(plan), rig(plan).imu
+    gz, ax, ay = felt
     warm = 25.0 + kind.warm * (1.0 - np.exp(-stamps / kind.warm_tau)) + 0.5 * np.sin(stamps / 17.0)
     white = float(noise.gyro_density or 0) * math.sqrt(rate / 2)
     reading = gz * get(e, "gyro_scale", "scale", 1.0) + get(e, "gyro_bias", "bias", 0.0)
     reading = (
         reading + plan.outside.get("gyro_cubic", 0.0) * gz**3 + plan.outside.get("gyro_sign", 0.0) * np.tanh(gz / 0.02)
     )
-    reading = reading - plan.outside.get("gyro_fade", 0.0) * gz * np.abs(np.interp(real, t, v)) / 0.5
+    reading = reading - plan.outside.get("gyro_fade", 0.0) * gz * np.abs(speed) / 0.5
     if "gyro_drift" in e:
         reading = reading + get(e, "gyro_drift", "amplitude", 0.0) * (
             1.0 - np.exp(-np.maximum(real, 0) / get(e, "gyro_drift", "tau", 1.0))
@@ -257,7 +272,7 @@ def imu(plan: Plan, params: RobotParams, noise: Noise, body: dict[str, Floats], 
     reading = reading + walk + white * get(e, "gyro_noise", "factor", 1.0) * rng.standard_normal(len(stamps))
     limit = get(e, "gyro_clip", "limit", math.inf)
     rough = float(noise.accel_density or 0) * math.sqrt(rate / 2)
-    shake = get(e, "vibration", "k", 0.0) * np.abs(np.interp(real, t, v))
+    shake = get(e, "vibration", "k", 0.0) * np.abs(speed)
     axes = []
     for value, axis in ((ax, "x"), (ay, "y")):
         value = value * get(e, "accel_scale", axis, 1.0) + get(e, "accel_bias", axis, 0.0)
