@@ -144,6 +144,8 @@ CLOSE = 0.25
 
 def clear_of_small(effect: str, size: float, values: Mapping[str, Value]) -> float:
     """Probability that an effect is a cause and no ordinary flaw: by how far its size is clear of its tolerance."""
+    if effect in ALIKE:
+        return 1.0  # two tolerances are its own already
     sd = [
         float(values[p.name].std or 0.0) / p.small
         for p in EFFECTS[effect].parameters

@@ -25,9 +25,8 @@ def chance_of_unknown(found: Search) -> float:
         if one.unknown is not None:
             best = max(best, strange(one.unknown[1], np.inf, CHANCE, explained))
         else:
-            best = max(
-                best, strangeness(found.rests[scope], _bar(found, one), explained), inexact(one), coloured(one)[1]
-            )
+            left = strangeness(found.rests[scope], _bar(found, one), explained)
+            best = max(best, left, inexact(one), coloured(one)[1])
     return best
 
 
@@ -83,9 +82,9 @@ def rivalled(one: Found) -> dict[str, float]:
     return out
 
 
-AHEAD, COARSE, SHAPES = 1.01, 0.0025, 5.0
-"""A listed effect and a shape are as likely where the shape brings one hundredth more; shapes are known to a quarter of
-that, for they are linear. There are a dozen in a channel: twice the logarithm of that is theirs by chance."""
+AHEAD, COARSE, SHAPES = 1.02, 0.0025, 15.0
+"""A listed effect and a shape are as likely where the shape brings two hundredths more; shapes are known to an eighth
+of that, for they are linear. There are dozens in a channel: a little is theirs by chance."""
 
 
 LOUD, HALF = 1.5, 0.3
@@ -139,8 +138,6 @@ def unknown_of(found: Search, material: Sequence[str]) -> tuple[Unexplained | No
             best = (gain, told)
     stream, chance = max((coloured(one) for one in found.links), key=lambda pair: pair[1])
     if best is None and chance > 0.5:
-        best = (
-            0.0,
-            Unexplained(stream, ("t",), f"{stream} keeps far more than its noise, of no shape known here", 1.0),
-        )
+        text = f"{stream} keeps far more than its noise, of no shape known here"
+        best = (0.0, Unexplained(stream, ("t",), text, 1.0))
     return (best[1] if best else None), doubt

@@ -133,9 +133,8 @@ def search(
         if fit.cost - best.cost < min(needed[one] for one in name.split("+")):
             break
         weighed = tuple((n, _priced(fit) + PRICE - _priced(one)) for both, one in fits for n in both.split("+"))
-        rest = None
-        if unknown is None:
-            rest = rest_of(problem, fit)
+        rest = rest_of(problem, fit) if unknown is None else None
+        if rest is not None:
             unknown = _stranger(problem, rest, fit, best, paired[0])
             if unknown is None and _drowned(rest, name.split("+"), fit.cost - best.cost):
                 break
@@ -148,7 +147,11 @@ def search(
                 continue
         added = name.split("+")  # the two of a pair are no rivals of each other
         steps += [
-            Step(f"add {one}", tuple(p for p in weighed if p[0] == one or p[0] not in added), _rival(rest, one))
+            Step(
+                f"add {one}",
+                tuple(p for p in weighed if p[0] == one or p[0] not in added),
+                0.0 if rest is None else rest.rival(one, paired[0]),
+            )
             for one in added
         ]
         best, dropped = _drop(problem, best, scope, worth, clear)
@@ -321,15 +324,6 @@ BEYOND, MARGIN = 1.02, 60.0
 """A shape that no listed effect has must beat the best of them by this factor and drop of deviance."""
 PAIRED = 8
 """So many of the best candidates are also tried in pairs."""
-
-
-def _rival(rest: Rest | None, effect: str) -> float:
-    """What the best shape of material size brings in the channels of an effect."""
-    mine = set(EFFECTS[effect].streams)
-    shapes = () if rest is None else rest.shapes
-    return max(
-        (v for s, v in shapes if blocked_by(s) & mine and rest and rest.sizes.get(s.key, 0.0) > 1.0), default=0.0
-    )
 
 
 def _drowned(rest: Rest, added: Sequence[str], gain: float) -> bool:

@@ -41,6 +41,16 @@ class Rest:
                 return shape, gain
         return None, 0.0
 
+    def rival(self, effect: str, pair: float) -> float:
+        """What the best shape of material size brings in an effect's channels; 0 where two listed effects bring more.
+
+        pair: what those bring.
+        """
+        mine = set(EFFECTS[effect].streams)
+        shapes = [(v, s) for s, v in self.shapes if blocked_by(s) & mine and self.sizes.get(s.key, 0.0) > 1.0]
+        brings = max((value for value, _ in shapes), default=0.0)
+        return brings if brings > pair else 0.0
+
 
 def rest_of(problem: Problem, fit: Fit) -> Rest:
     """All shapes beside a fitted model, the model's own parameters and the nuisances free to give way."""
