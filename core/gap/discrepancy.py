@@ -32,13 +32,16 @@ BEND = (LAG + DELAY) ** 2
 """Second order of a response [s²]: a lag and a delay, each within its tolerance."""
 APART = 0.5
 """Of a lag that the model has, so much may turning differ from driving: a wheel bears another inertia in each."""
+LOADED = 1.5e-3
+"""Share of its turning that a robot may lose for each metre per second: a load that is not over the axle pulls at the
+tyres in turns [s/m]; less than half of what the track width is known to, at common speeds."""
 FRICTION, COAST = 1e-3, 0.1
 """Rim speed that friction may cost a servo [m/s]: a third of the dead band's tolerance; and, of one with a lag, what a
 lag costs against this deceleration [m/s²], rolling on a floor at a hundredth of its weight."""
 SLOW = 0.05
 """Rim speeds above this [m/s] have a direction."""
 WHEEL_KEYS = ("~drive.bend", "~drive.turning_lag", "~drive.turning_bend", "~drive.friction")
-BODY_KEYS = ("~body.lag", "~body.turning_lag", "~body.bend", "~body.turning_bend", "~gyro.lag")
+BODY_KEYS = ("~body.lag", "~body.turning_lag", "~body.bend", "~body.turning_bend", "~body.turning_load", "~gyro.lag")
 
 
 def wheel_flaws(world: World, model: EffectSet, t: Array, left: Array, right: Array) -> tuple[Array, Array]:
@@ -107,6 +110,7 @@ def _of_body(problem: Problem, world: World, model: EffectSet) -> dict[str, Whit
         (zero, zero, -LAG * r["alpha"]),
         (BEND * np.gradient(r["a"]) / rate, zero, zero),
         (zero, zero, BEND * np.gradient(r["alpha"]) / rate),
+        (zero, zero, LOADED * r["v"] * r["w"]),
     )
     index, out = np.arange(len(motions)), {}
     lagging = world.body([problem.overlay(later(model, LAG), "body")])

@@ -32,6 +32,8 @@ PER_EFFECT, PER_PARAMETER = 15.0, 8.0
 """What an effect and a parameter must earn, in drop of deviance, where two whole explanations are weighed."""
 KINEMATIC = ("wheel_radius", "unequal_wheels")
 """What would have to make up for ticks that are not missed."""
+FULL = 0.99
+"""Share of its tolerance from which a nuisance is at its end."""
 STRANGE = 60.0
 """What a shape of no listed effect must earn."""
 FITTED = 1.3
@@ -105,8 +107,8 @@ def explain(
     if lost is not None:
         held = {"missed_ticks": lost.fit.model["missed_ticks"]}
         other = search(_driven(lost, held), rest, "body")
-        honest = search(_driven(lost, {}), rest, "body") if _makes_up(other.fit.model) else None
-        if honest is not None and not _makes_up(honest.fit.model):
+        honest = search(_driven(lost, {}), rest, "body") if _makes_up(other) else None
+        if honest is not None and not _makes_up(honest):
             body = honest  # the body moves as the encoders say: they miss nothing, the motors differ
         elif _price(lost, other) < _price(wheels, body):
             wheels, body = lost, other
@@ -114,15 +116,18 @@ def explain(
     return _finish(wheels, body, tried, whole)
 
 
-def _makes_up(model: EffectSet) -> bool:
-    """Whether wheels of other sizes, beyond tolerance, are in a model, or a floor that takes back what ticks gave."""
+def _makes_up(body: Found) -> bool:
+    """Whether wheels of other sizes, to their tolerance or beyond, or a floor take back what missed ticks gave."""
+    model = body.fit.model
     if "slip_patch" in model:
         return True
     for name in KINEMATIC:
         for parameter in EFFECTS[name].parameters if name in model else ():
             if abs(float(model[name][parameter.name]) - 1.0) > (parameter.small or 0.0):
                 return True
-    return False
+    beside = body.problem.nuisances
+    sizes = zip(beside.effects, np.abs(body.fit.trifles), beside.limit, strict=True)
+    return any(size > FULL * limit for effect, size, limit in sizes if effect in KINEMATIC and effect not in model)
 
 
 def _driven(wheels: Found, held: EffectSet) -> Problem:
