@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from core.effects import EFFECTS
 from core.gap.candidates import Candidate
@@ -14,6 +15,10 @@ from core.gap.linear import HUBER, Problem
 from core.gap.screen import Screen
 from core.gap.world import IMU, WHEELS
 
+Array = npt.NDArray[np.float64]
+
+MATERIAL = 12.0
+"""Drop of the cost, beyond its own tolerance, of an effect that is there beyond chance."""
 LIMITS = ("speed_limit", "accel_limit", "gyro_clip")
 CRUMB, TAKES = 0.25, {"wheels": 0.4, "body": 0.15}
 """A limit must bring this share of what tolerated flaws would; an effect, such a share of what its channels leave."""
@@ -81,3 +86,21 @@ def tolerated_of(screen: Screen, tried: Sequence[Candidate]) -> dict[str, float]
                         found[channel].append(float(value))
             at += 1
     return {name: float(np.median(values)) if values else 0.0 for name, values in found.items()}
+
+
+def best_of(tried: Sequence[Candidate], gain: Array) -> dict[str, float]:
+    """The largest gain of each effect's candidates."""
+    out: dict[str, float] = {}
+    for one, value in zip(tried, gain, strict=True):
+        out[one.effect] = max(out.get(one.effect, 0.0), float(value))
+    return out
+
+
+def faint_of(
+    problem: Problem, fit: Fit, screen: Screen, promised: tuple[Sequence[Candidate], Array]
+) -> dict[str, float]:
+    """By how much each smooth candidate's promise falls short of what it must bring."""
+    gains, left, crumbs = best_of(*promised), excess(fit), crumbs_of(problem, fit)
+    dim, smooth = screen.dim(promised[0]), {one.effect for one in promised[0] if one.smooth}
+    least = {name: least_of(name, MATERIAL, left, crumbs if name in dim else {}) for name in smooth}
+    return {name: max(least[name] - gains[name], 0.0) for name in smooth}

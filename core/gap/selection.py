@@ -27,7 +27,7 @@ from core.gap.linear import (
     with_floor,
 )
 from core.gap.places import placed, polish
-from core.gap.promise import crumbs_of, enough, excess, least_of, tolerated_of
+from core.gap.promise import MATERIAL, best_of, crumbs_of, enough, excess, faint_of, least_of, tolerated_of
 from core.gap.scatter import gyro_left, gyro_walk
 from core.gap.screen import Screen
 from core.gap.unknown import Rest, blocked_by, rest_of
@@ -46,8 +46,6 @@ WORTH = 24.0
 """Drop of the cost that an effect must bring: noise on fifty candidates stays below (see tests/bench/bench_gap.py)."""
 WHEELS_WORTH = 120.0
 """The same of encoders: rounding at slow speed is no white noise."""
-MATERIAL = 12.0
-"""The same, beyond its own tolerance, of an effect that is there beyond chance."""
 PRICE = 8.0
 """What a further parameter must bring (about the logarithm of the readings that say something of it)."""
 PLACED = WORTH + 3.0 * PRICE
@@ -119,12 +117,12 @@ def search(
         if unknown is None and scope != "wheels":
             local, brings = _put(problem, fit, scope)
             fresh, gain = [*fresh, *local], np.concatenate((gain, brings))
-        gains = _best_of(fresh, gain)
+        gains = best_of(fresh, gain)
         worth = max(worth, BESIDE * unknown[1]) if unknown is not None else worth
         clear |= screen.clear(fresh) if worth == WORTH else frozenset()
         needed = {name: MATERIAL if name in clear else PLACED if name in SEARCHED else worth for name in gains}
         chosen = _worthy(problem, fit, screen, (fresh, gain), needed, tolerated)
-        faint = _faint(problem, fit, screen, (fresh, gain)) if worth == WORTH else {}
+        faint = faint_of(problem, fit, screen, (fresh, gain)) if worth == WORTH else {}
         fits = _compared(problem, fit, chosen, scope) or _masked(problem, fit, fresh, paired, worth, scope)
         fits = fits or _late(problem, fit, fresh, worth, scope)
         if not fits:
@@ -206,7 +204,7 @@ def _worthy(
 ) -> list[Candidate]:
     """Of candidates and their promised gains, those that are worth a fit."""
     fresh, gain = promised
-    gains, left, crumbs, dim = _best_of(fresh, gain), excess(fit), crumbs_of(problem, fit), screen.dim(fresh)
+    gains, left, crumbs, dim = best_of(fresh, gain), excess(fit), crumbs_of(problem, fit), screen.dim(fresh)
     return [
         one
         for one in _starts(fresh, gain, min(worth.values(), default=WORTH))
@@ -214,14 +212,6 @@ def _worthy(
             one.effect, gains[one.effect], worth[one.effect], tolerated, left, crumbs if one.effect in dim else {}
         )
     ]
-
-
-def _faint(problem: Problem, fit: Fit, screen: Screen, promised: tuple[Sequence[Candidate], Array]) -> dict[str, float]:
-    """By how much each smooth candidate's promise falls short of what it must bring."""
-    gains, left, crumbs = _best_of(*promised), _excess(fit), _crumbs(problem, fit)
-    dim, smooth = screen.dim(promised[0]), {one.effect for one in promised[0] if one.smooth}
-    least = {name: _least(name, MATERIAL, left, crumbs if name in dim else {}) for name in smooth}
-    return {name: max(least[name] - gains[name], 0.0) for name in smooth}
 
 
 def screened(problem: Problem, fit: Fit, fresh: Sequence[Candidate], scope: str) -> tuple[Problem, Fit, Screen]:
@@ -364,13 +354,6 @@ def _stood_in(problem: Problem, fit: Fit, unknown: tuple[Shape, float], scope: s
 
 STANDS = 0.9
 """Share of what effects and shape took together that the shape alone must take, for the effects to be dropped."""
-
-
-def _best_of(tried: Sequence[Candidate], gain: Array) -> dict[str, float]:
-    out: dict[str, float] = {}
-    for one, value in zip(tried, gain, strict=True):
-        out[one.effect] = max(out.get(one.effect, 0.0), float(value))
-    return out
 
 
 def _starts(tried: Sequence[Candidate], gain: Array, worth: float) -> list[Candidate]:
