@@ -17,10 +17,12 @@ from core.gap.candidates import Reach
 from core.gap.discoveries import hierarchical, simes, step_up
 from core.gap.experiment import Rivals, chance, separation
 from core.gap.floor import Floor
+from core.gap.judge import clear_of_small
 from core.gap.linear import Problem, with_floor
 from core.gap.reference import restarts_of
 from core.gap.shrink import Scored, figures, show
 from core.gap.stretches import GAP, HELD, spans_of, without
+from core.gap.types import Value
 from core.gap.world import make_world
 from core.robot import EffectSet
 from core.run import Run
@@ -123,6 +125,15 @@ def test_an_unlisted_cause_is_described_by_its_curve(strange: Diagnosis) -> None
     assert curve.lo[far] <= curve.y[far] <= curve.hi[far]
     assert left.nearest and all("imu.gz" in LISTED[one.effect].streams and one.takes < 1.0 for one in left.nearest)
     assert [one.regime for one in strange.where] == ["fast turning"]
+
+
+def test_near_its_tolerance_nothing_is_sure() -> None:
+    known = {"x": Value(1.012, 0.0015), "y": Value(1.0, 0.0015)}
+    chances = [clear_of_small("accel_scale", size, known) for size in (1.0, 1.2, 1.5, 2.5)]
+    assert chances == sorted(chances)
+    assert chances[1] < 0.5 < chances[2]
+    assert chances[3] > 0.99
+    assert clear_of_small("motor_lag", 1.1, {}) == 1.0  # beyond a delay's tolerance and its own
 
 
 def test_an_effect_that_makes_held_out_data_worse_is_called_harmful() -> None:
