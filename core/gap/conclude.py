@@ -10,7 +10,7 @@ import numpy as np
 from core.effects import EFFECTS
 from core.gap.candidates import Reach
 from core.gap.experiment import next_experiment
-from core.gap.explain import Search
+from core.gap.explain import Progress, Search, silent
 from core.gap.floor import Floor
 from core.gap.generic import Shape
 from core.gap.judge import odds
@@ -36,6 +36,7 @@ def conclude(
     known: EffectSet,
     config: Config,
     part: Part | None = None,
+    progress: Progress = silent,
 ) -> Diagnosis:
     """Size, probability, place, shrinkage and advice. kept: held-out runs; part: else, what was found on a part."""
     floor, seen_by = found.floor, judged(found, reach, known, config)
@@ -51,6 +52,7 @@ def conclude(
     if harmful:  # told again without what does harm
         seen = [show(world, seen_by.small, seen_by.causing, floor) for world in fitted_on]
         apart = [show(world, seen_by.small, seen_by.causing, floor) for world in kept]
+    progress(0.92, "telling where")
     ground = ground_of(fitted_on, seen, seen_by.causing, floor)
     if seen_by.unexplained is None:
         seen_by = dataclasses.replace(seen_by, unexplained=remainder(ground, seen, floor))
@@ -59,7 +61,9 @@ def conclude(
     causes = _causes(found, seen_by, _shares(found, seen_by, gap))
     sure = [one for one in causes if one.probability > 0.5]
     verdict = _verdict(sure, unexplained)
+    progress(0.94, "choosing the next drive")
     advised = next_experiment(fitted_on[0].run, {**found.model, **seen_by.causing}, found.links, causes, floor, reach)
+    progress(0.97, "gathering the evidence")
     told = Told(found.model, seen_by, causes, reach, advised, config.seed)
     listed = (
         name

@@ -57,7 +57,7 @@ def diagnose(
     kept = tuple(rolling(make_world(run, restarts_of(run, config.window, one.found.model))) for run in held_out)
     part = None if kept else on_a_part(runs, one.found, one.tried, known, config, progress)
     progress(0.9, "telling")
-    out = conclude(one.found, one.worlds, kept, one.reach, known, config, part)
+    out = conclude(one.found, one.worlds, kept, one.reach, known, config, part, progress)
     return dataclasses.replace(out, notes=(*told, *more, *out.notes), runtime_s=time.perf_counter() - began)
 
 

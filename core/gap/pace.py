@@ -17,7 +17,7 @@ from core.gap.world import World
 from core.robot import EffectSet
 from core.simulation._batch_numba import Outputs
 
-MARKS = (0.0, 0.1, 0.3, 0.55, 0.6, 0.7, 0.9, 1.0)
+MARKS = (0.0, 0.1, 0.3, 0.55, 0.6, 0.7, 0.9, 0.92, 0.94, 0.97, 1.0)
 """Where phases begin."""
 MANY = 15.0
 """After so many predictions two thirds of a phase are told."""

@@ -20,6 +20,7 @@ from core.gap.floor import Floor
 from core.gap.judge import clear_of_small
 from core.gap.linear import Problem, with_floor
 from core.gap.reference import restarts_of
+from core.gap.scatter import scatters
 from core.gap.shrink import Scored, figures, show
 from core.gap.stretches import GAP, HELD, spans_of, without
 from core.gap.types import Value
@@ -146,6 +147,18 @@ def test_an_effect_that_makes_held_out_data_worse_is_called_harmful() -> None:
     assert harmful == ("gyro_bias",)
     assert gap.total.after > gap.total.before
     assert figures(Scored([world], [shown], ("gyro_bias",), False), floor, {}, 0)[1] == ()
+
+
+def test_shadow_and_outliers_lie_within_their_deviations() -> None:
+    """A disc without fixes, and far-off fixes, as the readings themselves tell them."""
+    true = {"beacon_shadow": {"x": 2.5, "y": 2.0, "radius": 0.6}, "beacon_outliers": {"rate": 0.1, "size": 0.5}}
+    run = record(Plan(1234, "mixed", 40.0, true))
+    problem = with_floor(Problem((make_world(run, restarts_of(run)),), Floor({}, {}, {}), {}), {})
+    found = {one.effect: one.parameters for one in scatters(problem, {}, ())}
+    for effect, values in true.items():
+        for name, value in values.items():
+            told, sd = found[effect][name]
+            assert abs(told - value) < 3.0 * sd < 0.5 * value
 
 
 def test_held_out_stretches_leave_no_reading_to_the_fit() -> None:
