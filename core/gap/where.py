@@ -122,6 +122,8 @@ def look(ground: Ground, causes: EffectSet, shape: Shape | None) -> Findings:
         elif found[name].any() and p < 0.05 and share > LEAST_SHARE:
             rows += _rows(ground, name, share, max(p, SMALLEST), causes, shape)
     if "beacon_shadow" in causes:
+        if len(causes) == 1 and shape is None:
+            rows = []  # nothing else is material: what leaves its floor beside it is a trifle
         rows += _shadowed(ground, causes["beacon_shadow"], 1.0 if not rows else 0.0)
     return Findings(tuple(table), tuple(sorted(rows, key=lambda one: -one.share)))
 
