@@ -42,7 +42,7 @@ def _mended(t: Array, column: Array, fastest: Array, ticks: float | None) -> tup
     step = np.diff(column)
     if not np.isfinite(step).all():
         return column, ""
-    usual = float(np.quantile(np.abs(step), 0.9))
+    usual = float(np.quantile(np.abs(step[step != 0]), 0.9)) if step.any() else 0.0  # at rest a counter stands
     span = float(np.ptp(column))
     leap = np.abs(step) > np.minimum(fastest, max(0.5 * span, 10.0 * usual))
     if not leap.any() or leap.sum() > 0.2 * len(step):

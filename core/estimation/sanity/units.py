@@ -30,7 +30,8 @@ WINDOW, MOST = 0.5, 4000  # s over which turns are compared, windows at most
 TURNS, AGREE = 0.3, 0.8  # rad rms of turning in a window that is enough; least correlation of two witnesses
 NEAR = 1.25  # a factor that is that near to a mistake's is the mistake
 LENGTHS = {"millimetres": 1000.0, "centimetres": 100.0}
-STRETCH = 2.0  # s over which distances are compared
+STRETCH, ROLLED = 2.0, 0.1  # s over which distances are compared; m that must be driven in them
+ALL_ALIKE, USUAL = 0.4, 0.1  # least ratio of the factors of two stretches; share of a unit's factor in half of them
 ENOUGH = 12  # fixes or ranges of one beacon
 ALIKE, UNLIKE = 0.9, 0.5  # how much headings agree (mean direction of their differences) that are, that are not
 WHEEL_MM, WHEEL_CM = 20.0, 2.0  # m: no robot's wheel has such a radius
@@ -174,7 +175,10 @@ def _wheels_converted(run: Run) -> Mended:
 
 
 def _metres_per_metre(run: Run, numbers: Assumptions) -> float | None:
-    """How far fixes move per metre that the wheels roll, in the straightest stretches; None where they say little."""
+    """How far fixes move per metre that the wheels roll, in the straightest stretches; None where they say little.
+
+    A unit is one factor for all stretches: where these differ by more than turns make them, none is told.
+    """
     fixes, wheels, robot = run.beacon, run.wheels, run.meta.robot
     if fixes is None or wheels is None or not robot.wheel_radius or len(fixes) < 2 * ENOUGH or len(wheels) < 2:
         return None
@@ -184,11 +188,11 @@ def _metres_per_metre(run: Run, numbers: Assumptions) -> float | None:
     d = np.interp(fixes.t[:4000], path.t, path.d)
     k = int(np.clip(round(STRETCH / max(float(np.median(np.diff(fixes.t))), 1e-3)), 1, len(x) // 2))
     seen, rolled = np.hypot(x[k:] - x[:-k], y[k:] - y[:-k]), np.abs(d[k:] - d[:-k])
-    use = np.isfinite(seen) & (rolled > 0)
-    use &= rolled >= np.quantile(rolled, 0.5)
+    use = np.isfinite(seen) & (rolled >= max(float(np.quantile(rolled, 0.5)), ROLLED))
     if use.sum() < ENOUGH or float(np.median(seen[use])) < 5 * numbers.fix_xy:
         return None
-    return float(np.quantile(seen[use] / rolled[use], 0.7))
+    few, many = np.quantile(seen[use] / rolled[use], (0.3, 0.7))
+    return float(many) if few > ALL_ALIKE * many else None
 
 
 def _fix_headings(run: Run) -> Mended:
@@ -219,7 +223,7 @@ def range_units(run: Run, numbers: Assumptions) -> Mended:
         return run, ()
     t, pose = found
     gone = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(pose[:, :2], axis=0).T))))
-    most = 0.0
+    most = usual = 0.0
     for k in range(len(log.names)):
         mine = np.flatnonzero((log.beacon == k) & np.isfinite(log.range))[:1000]
         if len(mine) < ENOUGH:
@@ -228,10 +232,11 @@ def range_units(run: Run, numbers: Assumptions) -> Mended:
         apart = int(np.clip(round(STRETCH / max(float(np.median(np.diff(stamps))), 1e-3)), 1, len(mine) // 2))
         driven = np.diff(np.interp(stamps, t, gone)[::apart])
         if driven.max() > 0.2:
-            use = driven >= max(float(np.quantile(driven, 0.5)), 0.1)
-            most = max(most, float(np.quantile(np.abs(np.diff(ranges[::apart]))[use] / driven[use], 0.9)))
+            use = driven >= max(float(np.quantile(driven, 0.5)), ROLLED)
+            half, nearly_all = np.quantile(np.abs(np.diff(ranges[::apart]))[use] / driven[use], (0.5, 0.9))
+            most, usual = max(most, float(nearly_all)), max(usual, float(half))
     for words, factor in LENGTHS.items():
-        if 0.3 < most / factor < NEAR:
+        if 0.3 < most / factor < NEAR and usual > USUAL * factor:
             log = dataclasses.replace(log, range=np.asarray(log.range, np.float64) / factor)
             return dataclasses.replace(run, ranges=log), (f"The ranges read {words} in place of metres: converted.",)
     return run, ()

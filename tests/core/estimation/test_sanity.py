@@ -14,6 +14,7 @@ from core.estimation.pipeline import Estimates
 from core.estimation.sanity import sound
 from core.metrics import evaluate
 from core.run import Run
+from core.sensors import BeaconLog, WheelLog
 
 from .world import Sensors, simulate
 
@@ -170,6 +171,22 @@ def test_a_sound_run_is_left_alone(seed: int) -> None:
         found, notes = sound(run, assume(run)[0])
         assert notes == ()
         assert all(a is b for a, b in zip(found.logs().values(), run.logs().values(), strict=True))
+
+
+def test_a_robot_that_mostly_rests_is_left_alone() -> None:
+    """At rest wheels tremble by next to nothing and fixes by their noise: their ratio is no unit."""
+    rng = np.random.default_rng(3)
+    t = np.arange(0.0, 150.0, 0.05)
+    forth_and_back = np.interp(t, (90.0, 120.0, 150.0), (0.0, 12.0, 0.0))
+    turned = forth_and_back / (WORLD.run.meta.robot.wheel_radius or np.nan) + 1e-5 * rng.standard_normal(t.size)
+    x, y = (mean + 0.08 * rng.standard_normal(t[::2].size) for mean in (forth_and_back[::2], 0.0))
+    fixes = BeaconLog(t[::2], x, y)
+    resting = dataclasses.replace(
+        WORLD.run, imu=None, truth=None, commands=None, ranges=None, wheels=WheelLog(t, turned, turned), beacon=fixes
+    )
+    assert sound(resting, assume(resting)[0])[1] == ()
+    toggling = dataclasses.replace(resting, wheels=WheelLog(t, turned, np.where(np.abs(t - 50.0) < 2.0, 0.003, 0.0)))
+    assert not any("encoder" in note for note in sound(toggling, assume(toggling)[0])[1])
 
 
 @pytest.mark.parametrize(
