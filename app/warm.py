@@ -38,12 +38,16 @@ def gap() -> None:
     """The diagnosis, on a short drive with a wider track than simulated."""
     import dataclasses
 
+    import numpy as np
+
     from app.sandbox.figure import figure
     from app.sandbox.prepared import make_prepared
     from core.gap import diagnose
+    from core.gap._pose_numba import whiten_offset
     from core.simulation import simulate
     from core.simulation.scenarios import SCENARIOS
 
+    whiten_offset(np.arange(4.0), np.ones(4), 0.0, 1.0, 9.0, np.ones((1, 4)))  # what runs without commands need more
     run = simulate(SCENARIOS["figure-eight"].run(), {"track_width": {"scale": 1.05}}, 0).crop(0.0, 30.0)
     diagnose([run])
     for one in (run, dataclasses.replace(run, truth=None)):  # the sandbox's first move; without truth, by fixes
