@@ -29,8 +29,8 @@ LOUD = 25.0
 """Mean square of what the listed effects leave, from which on no noise is meant."""
 SHARES = (1.0, 0.85, 0.7, 0.6, 0.5, 0.42, 0.35, 0.3, 0.25)
 """Levels tried, as shares of the most that is asked."""
-TAKES = 0.4
-"""Of what the listed effects leave, the cut-off and those beside it must take this share."""
+TAKES = 0.2
+"""Of what the listed effects leave, the cut-off and those beside it must take this share: of squares twice as much."""
 SLOW: Model = {"command_delay": {"delay": 0.1}, "motor_lag": {"tau": 0.1}}
 """Beside the levels the drive may be slow: what is late is not what is cut off."""
 STEPS = (0.07, 0.03, 0.012, 0.005)

@@ -19,7 +19,7 @@ from core.run import Run
 
 Array = npt.NDArray[np.float64]
 
-STEP = 1.0
+STEP = 0.4
 """Length of a step [s]."""
 CLEAR = 5.0
 """So many deviations the angle must stand clear of chance."""

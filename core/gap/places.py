@@ -74,7 +74,7 @@ def _patches(problem: Problem, bodies: list[Outputs]) -> list[Candidate]:
     found.sort(key=lambda pair: -pair[0])
     rough = [disc for gain, disc in found[:REFINED] if gain > 0.0]
     fine = sorted((_moved(disc, xy, score, info) for disc in rough), key=lambda pair: -pair[0])
-    fine = [(gain, disc) for gain, disc in fine if _met_again(disc, problem.worlds, bodies)]
+    fine = [(gain, disc) for gain, disc in fine if is_place(problem, disc, bodies)]
     names = ("x", "y", "radius", "slip")
     starts = [dict(zip(names, (*disc, _slip(disc, xy, score, info)[1]), strict=True)) for _, disc in fine]
     return [Candidate("slip_patch", one, names, secant=True) for one in starts[:PATCHES]]
@@ -89,20 +89,44 @@ MOVES = (0.2, 0.1, 0.05, 0.025, 0.012, 0.006)
 """By so much [m], one after the other."""
 
 
-def _met_again(disc: Disc, worlds: Sequence[World], bodies: Sequence[Outputs]) -> bool:
-    """Whether a disc is met other than by beginning in it: what only the beginning shows is a start, not a place."""
+def is_place(problem: Problem, disc: Disc, bodies: Sequence[Outputs] | None = None) -> bool:
+    """Whether a disc is met other than by beginning in it: what only the beginning shows is a start, not a place.
+
+    Nor is what hardly a reading shows. bodies: the runs' paths, where they are known.
+    """
+    if bodies is None:
+        bodies = [world.body([problem.overlay({}, "body")]) for world in problem.worlds]
     inside = first = 0
-    for world, body in zip(worlds, bodies, strict=True):
+    for world, body in zip(problem.worlds, bodies, strict=True):
         set_down = world.stamps >= world.restarts[:1, 0].max(initial=-np.inf)
         x, y = body.x[0, set_down], body.y[0, set_down]
         here = (x - disc[0]) ** 2 + (y - disc[1]) ** 2 < disc[2] ** 2
         inside += int(here.sum())
         first += len(here) if here.all() else int(here.argmin())
-    return inside - first > STARTS * inside
+    return inside - first > max(STARTS * inside, FEWEST)
 
 
-STARTS = 0.25
-"""Of the readings in a disc, this share must come after a run first left it, or before it was there."""
+STARTS, FEWEST = 0.25, 5
+"""Of the readings in a disc, this share must come after a run first left it, or before it was there; and so many."""
+
+
+def possible(problem: Problem, name: str, model: EffectSet) -> bool:
+    """Whether the readings allow for what was fitted: a patch is met more than once, no gyro reads beyond its clip."""
+    if name == "slip_patch":
+        return is_place(problem, _disc(model))
+    seen = [np.abs(world.readings["imu.gz"]) for world in problem.worlds if "imu.gz" in world.readings]
+    if name != "gyro_clip" or not seen:
+        return True
+    return float(np.mean(np.concatenate(seen) > WIDER * float(model[name]["limit"]))) < ABOVE
+
+
+WIDER, ABOVE = 1.02, 0.005
+"""A clip is refuted by this share of readings that lie beyond it by so much."""
+
+
+def _disc(model: EffectSet) -> tuple[float, float, float]:
+    x, y, radius = (float(model["slip_patch"][name]) for name in ("x", "y", "radius"))
+    return x, y, radius
 
 
 def _slip(disc: Disc, xy: Array, score: Array, info: Array) -> tuple[float, float]:

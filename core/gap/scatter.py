@@ -189,7 +189,7 @@ def gyro_walk(problem: Problem, residuals: Sequence[tuple[Array, Array]]) -> tup
         total += drift_costs(problem, t, values)
     best = int(np.argmin(total))
     gain = float(total[0] - total[best])
-    if best == 0 or gain < 12.0:
+    if best in (0, len(DENSITIES) - 1) or gain < 12.0:  # at the end of what is tried it is no walk
         return None, max(gain, 0.0)
     near = min(max(best, 2), len(DENSITIES) - 2)  # the first of all is no walk
     before, at, after = total[near - 1 : near + 2]

@@ -26,7 +26,7 @@ from core.gap.linear import (
     secants_of,
     with_floor,
 )
-from core.gap.places import placed, polish
+from core.gap.places import placed, polish, possible
 from core.gap.promise import MATERIAL, best_of, crumbs_of, enough, excess, faint_of, least_of, tolerated_of
 from core.gap.scatter import gyro_left, gyro_walk
 from core.gap.screen import Screen
@@ -36,7 +36,7 @@ from core.robot import EffectSet
 
 Array = npt.NDArray[np.float64]
 
-MOST = 5
+MOST = 9
 """At most so many effects in one link's model."""
 TRIED, ROUGH = 3, 2
 """So many of the best candidates are refitted at each step: smooth ones, and whole changes (a clip, a patch)."""
@@ -100,13 +100,9 @@ def search(
     """
     worth = WHEELS_WORTH if scope == "wheels" else WORTH
     problem, fit = _begun(problem, tried, scope, start or {}, aside)
-    steps: list[Step] = []
-    gains: dict[str, float] = {}
-    tolerated: dict[str, float] = {}
+    steps, gains, tolerated = list[Step](), dict[str, float](), dict[str, float]()
     unknown: tuple[Shape, float] | None = None
-    sight: Sight | None = None
-    clear: frozenset[str] = frozenset()
-    faint: dict[str, float] = {}
+    sight, clear, faint = None, frozenset[str](), dict[str, float]()
     for _ in range(MOST):
         fresh = _fresh(tried, fit, unknown)
         problem, fit, screen = screened(problem, fit, [*fresh, *aside], scope)
@@ -125,10 +121,8 @@ def search(
         faint = faint_of(problem, fit, screen, (fresh, gain)) if worth == WORTH else {}
         fits = _compared(problem, fit, chosen, scope) or _masked(problem, fit, fresh, paired, worth, scope)
         fits = fits or _late(problem, fit, fresh, worth, scope)
-        if not fits:
-            break
-        name, best = min(fits, key=lambda item: _priced(item[1]))
-        if fit.cost - best.cost < min(needed[one] for one in name.split("+")):
+        name, best = min(fits, key=lambda item: _priced(item[1]), default=("", fit))
+        if not fits or fit.cost - best.cost < min(needed[one] for one in name.split("+")):
             break
         weighed = tuple((n, _priced(fit) + PRICE - _priced(one)) for both, one in fits for n in both.split("+"))
         rest = rest_of(problem, fit) if unknown is None else None
@@ -144,14 +138,7 @@ def search(
                 steps.append(Step(f"unknown {unknown[0].key}", weighed))
                 continue
         added = name.split("+")  # the two of a pair are no rivals of each other
-        steps += [
-            Step(
-                f"add {one}",
-                tuple(p for p in weighed if p[0] == one or p[0] not in added),
-                0.0 if rest is None else rest.rival(one, paired[0]),
-            )
-            for one in added
-        ]
+        steps += [_added(one, added, weighed, 0.0 if rest is None else rest.rival(one, paired[0])) for one in added]
         best, dropped = _drop(problem, best, scope, worth, clear)
         steps += [Step(f"drop {one}") for one in dropped]
         best = _polished(problem, best, scope) if name == "slip_patch" else best
@@ -160,6 +147,10 @@ def search(
     problem, fit = _ended(problem, fit, [*tried, *aside], scope)
     earned = _earned(problem, fit, scope, steps)
     return Found(fit, problem, tuple(steps), gains, earned, unknown, tolerated, sight, faint)
+
+
+def _added(name: str, added: Sequence[str], weighed: Sequence[tuple[str, float]], shape: float) -> Step:
+    return Step(f"add {name}", tuple(pair for pair in weighed if pair[0] == name or pair[0] not in added), shape)
 
 
 def _begun(
@@ -176,7 +167,8 @@ def _begun(
 
 def _compared(problem: Problem, fit: Fit, chosen: Sequence[Candidate], scope: str) -> list[tuple[str, Fit]]:
     """Each of the chosen, fitted beside the model."""
-    return [(one.effect, refit(problem, {**fit.model, one.effect: dict(one.start)}, scope, BRIEF)) for one in chosen]
+    fits = [(one.effect, refit(problem, {**fit.model, one.effect: dict(one.start)}, scope, BRIEF)) for one in chosen]
+    return [(name, one) for name, one in fits if possible(problem, name, one.model)]
 
 
 def _fresh(tried: Sequence[Candidate], fit: Fit, unknown: tuple[Shape, float] | None) -> list[Candidate]:
@@ -287,16 +279,23 @@ LATE = {"command_delay": "delay", "motor_lag": "tau"}
 
 
 def _earned(problem: Problem, fit: Fit, scope: str, steps: Sequence[Step]) -> dict[str, float]:
-    """Leaving each effect out in turn; of a smooth one by the fit's own equations, at most what it brought."""
+    """Leaving each effect out in turn, of a smooth one by the fit's own equations; at most what it brought.
+
+    Without it the whole may miss by far more: what is trusted now was not when the effect was added.
+    """
     out = {}
     for name in fit.model:
-        if EFFECTS[name].smooth:
-            brought = [dict(step.gains)[name] for step in steps if step.action == f"add {name}"]
-            out[name] = min([lost(fit, name), *(gain for gain in brought if gain > 0.0)])
-            continue
-        rest = {k: v for k, v in fit.model.items() if k != name}
-        out[name] = max(refit(problem, rest, scope, 2).cost - fit.cost, 0.0)
+        brought = [dict(step.gains)[name] for step in steps if step.action == f"add {name}"]
+        without = lost(fit, name) if EFFECTS[name].smooth else 0.0
+        if without < BENT * max(brought, default=0.0) or not EFFECTS[name].smooth:  # far from neutral the way bends
+            rest = {k: v for k, v in fit.model.items() if k != name}
+            without = max(refit(problem, rest, scope, 2).cost - fit.cost, 0.0)
+        out[name] = min([without, *(gain for gain in brought if gain > 0.0)])
     return out
+
+
+BENT = 0.5
+"""An effect whose equations promise less than this share of what it brought is left out exactly."""
 
 
 def _polished(problem: Problem, fit: Fit, scope: str, steps: Sequence[float] = (0.06, 0.03, 0.015)) -> Fit:
@@ -307,7 +306,7 @@ def _polished(problem: Problem, fit: Fit, scope: str, steps: Sequence[float] = (
 
     moved = polish(cost, fit.model["slip_patch"], steps)
     again = refit(problem, {**fit.model, "slip_patch": dict(moved)}, scope, BRIEF)
-    return again if again.cost < fit.cost else fit
+    return again if again.cost < fit.cost and possible(problem, "slip_patch", again.model) else fit
 
 
 BEYOND, MARGIN = 1.02, 60.0

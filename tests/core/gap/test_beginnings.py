@@ -13,10 +13,13 @@ from core.formats import read_run
 from core.gap import Config, Diagnosis, diagnose
 from core.gap.aligned import aligned, reference_clock
 from core.gap.checks import check_tolerances
+from core.gap.faced import faced, facing
 from core.gap.reference import restarts_of
 from core.gap.rolling import first_speeds, rolling
+from core.gap.searched import searched
 from core.gap.world import make_world
 from core.run import Run
+from core.simulation import simulate
 from tests.plants.gap_plant import Effects, Plan, record
 
 LAG: Effects = {"motor_lag": {"tau": 0.08}}
@@ -64,8 +67,31 @@ def test_a_reference_on_another_clock_is_set_right_and_told() -> None:
     assert aligned([run]) == ([run], ())  # slip alone, however like a delay it looks, moves no stamp
 
 
+def test_a_reference_that_faces_beside_the_way_driven_is_turned_and_told() -> None:
+    run = made(effects={"side_slip": {"k": 0.03}})
+    assert run.truth is not None
+    askew = dataclasses.replace(run, truth=dataclasses.replace(run.truth, theta=run.truth.theta - 0.005))
+    assert facing([askew]) == pytest.approx(0.005, abs=1e-3)
+    assert "mrad to the right of the way driven" in faced([askew])[1][0]
+    assert faced([run]) == ([run], ())  # sliding out of bends is no mounting
+
+
+def test_a_drive_that_cuts_off_what_is_asked_and_is_late_is_told_by_both() -> None:
+    run = made(20.0, imu=False)
+    assert run.commands is not None
+    kept = dataclasses.replace(run.commands, w=np.clip(run.commands.w, -0.4, 0.4))
+    late = {"motor_lag": {"tau": 0.2}, "command_delay": {"delay": 0.15}}
+    drives = simulate(dataclasses.replace(run, commands=kept), late, 1)
+    found = searched([dataclasses.replace(drives, commands=run.commands)], {}, 2.0).found.wheels
+    assert found is not None and found.unknown is not None
+    assert "0.40 rad/s of turning, which the drive does not follow" in found.unknown[0].text
+    assert found.fit.model.keys() == late.keys()
+    assert float(found.fit.model["motor_lag"]["tau"]) == pytest.approx(0.2, abs=0.02)
+    assert float(found.fit.model["command_delay"]["delay"]) == pytest.approx(0.15, abs=0.02)
+
+
 def test_a_large_rest_is_never_told_as_none() -> None:
-    run = made(imu=False)
+    run = made(20.0, imu=False)
     assert run.truth is not None and run.truth.y is not None
     off = run.truth.y + 0.02 * np.sin(2.0 * np.pi * run.truth.t / 1.3)
     found = diagnose([dataclasses.replace(run, truth=dataclasses.replace(run.truth, y=off))])
