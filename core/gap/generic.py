@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from core.gap.floor import wrap
 from core.gap.linear import Problem, White
-from core.gap.whiten import events_of, imu_sigma, jumps_of, residuals_of, white_imu, white_poses, white_wheels
+from core.gap.whiten import Events, events_of, imu_sigma, jumps_of, residuals_of, white_imu, white_poses, white_wheels
 from core.gap.world import IMU, WHEELS, World
 from core.robot import EffectSet
 from core.simulation._batch_numba import Outputs
@@ -311,8 +311,21 @@ def _body_rows(problem: Problem, world: World, model: EffectSet, sizes: Sizes) -
     for name in sigma:
         white = white_imu(world, name, np.array([row for _, row in rows[name]]), sigma[name], problem.floor)
         rows[name] = [(shape, row) for (shape, _), row in zip(rows[name], white, strict=True)]
-    if events is None:
-        return rows
+    if events is not None:
+        _pose_rows(problem, world, body, events, motions, (rows, sizes))
+    return rows
+
+
+def _pose_rows(
+    problem: Problem,
+    world: World,
+    body: Outputs,
+    events: Events,
+    motions: Mapping[Shape, tuple[Array, Array, Array]],
+    into: tuple[dict[str, list[tuple[Shape, Array]]], Sizes],
+) -> None:
+    """Adds what pose readings see of shapes of their own and of the body's motion. into: rows and sizes."""
+    rows, sizes = into
     stacked: list[Shape] = []
     values: dict[str, list[Array]] = {name: [] for name in events.names}
     jumps = []
@@ -336,12 +349,11 @@ def _body_rows(problem: Problem, world: World, model: EffectSet, sizes: Sizes) -
             for name in events.names:
                 values[name].append(seen(world, body, name, moved))
     if not stacked:
-        return rows
+        return
     floor = problem.floor
     posed, _ = white_poses(events, {n: np.array(v) for n, v in values.items()}, np.array(jumps), floor.walk, floor.side)
     for name in events.names:
         rows[name] += list(zip(stacked, posed[name], strict=True))
-    return rows
 
 
 def felt(world: World, name: str, motion: tuple[Array, Array, Array], r: Mapping[str, Array]) -> Array:
