@@ -28,7 +28,7 @@ from core.errors import ParameterError
 router = APIRouter(tags=["diagnoses"])
 
 DiagnosisId = Annotated[str, Path(description="the diagnosis's id", examples=["41d0c8a3e7b25f96"], max_length=64)]
-FileName = Literal["report.html", "report.json", "evidence.json", "effects.json", "commands.csv"]
+FileName = Literal["report.html", "report.json", "evidence.json", "effects.json", "effects-all.json", "commands.csv"]
 MEDIA = {"html": "text/html", "json": "application/json", "csv": "text/csv"}
 FILES: dict[int | str, dict[str, Any]] = {
     200: {"description": "The file", "content": {media: {"schema": {}} for media in MEDIA.values()}}
@@ -121,7 +121,8 @@ def restore_diagnosis(session: WriteSession, diagnosis_id: DiagnosisId) -> wire.
 )
 def download_diagnosis(session: ReadSession, diagnosis_id: DiagnosisId, file: FileName) -> Response:
     """The report as one HTML page that needs nothing else; gap/1; its evidence; the effects as `driftscope simulate`
-    takes them; the commands of the next experiment, where there is one to drive.
+    takes them, those of the causes or all, with what is below its tolerance; the commands of the next experiment,
+    where there is one to drive.
     """
     row = store.get_diagnosis(session, diagnosis_id, evidence=True)
     name = re.sub(r"[^\w.+-]+", "-", f"{row.name}-{file}").strip("-").encode("ascii", "ignore").decode()
@@ -207,8 +208,8 @@ def _file(session: Session, row: Diagnosis, file: str) -> str | bytes:
         return to_json(row.result, indent=2)
     if file == "evidence.json":
         return to_json(evidence_of(session, row.id), indent=2)
-    if file == "effects.json":
-        return to_json({"effects": effects_of(row.result)}, indent=2)
+    if file in ("effects.json", "effects-all.json"):
+        return to_json({"effects": effects_of(row.result, immaterial=file == "effects-all.json")}, indent=2)
     return _commands(row)
 
 

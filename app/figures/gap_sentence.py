@@ -13,6 +13,7 @@ SURE = 0.9  # below this the rivals are named too
 NAMED = 3  # causes by name; more are counted
 LITTLE = 0.005  # of the gap: below this a cause is counted, not named
 MOST = 0.8  # of the gap: below this its part is said
+ALMOST_ALL = 0.9  # of what the gap shrinks by: below this the immaterial effects are named as those that do the rest
 AT_FLOOR = 1.25  # times the floor: nothing to speak of above it
 
 VERDICTS = {
@@ -63,7 +64,7 @@ def sentence(result: Mapping[str, Any]) -> str:
     if not causes:
         return " ".join(part for part in (_unknown(result), _rivals(result)) if part)
     first = difference(causes[0]["effect"], causes[0]["parameters"])
-    parts = [first, f"{_explains(causes, result['gap'])}; {_remedy(causes, result['gap'])}.", _doubt(causes, result)]
+    parts = [first, f"{_explains(causes, result['gap'])}; {_remedy(causes, result)}.", _doubt(causes, result)]
     if verdict == "partly_explained":
         parts.append(_left(result))
     return " ".join(part for part in parts if part)
@@ -136,8 +137,13 @@ def _explains(causes: Sequence[Mapping[str, Any]], gap: Mapping[str, Any]) -> st
     return f"{_capital(_listed(named))} explain {of} together (probability at least {least:.2f})"
 
 
-def _remedy(causes: Sequence[Mapping[str, Any]], gap: Mapping[str, Any]) -> str:
+def _remedy(causes: Sequence[Mapping[str, Any]], result: Mapping[str, Any]) -> str:
+    gap = result["gap"]
     what = f"add `{as_set(causes[0]['effect'], causes[0]['parameters'])}`" if len(causes) == 1 else "add them"
+    small, whole = len(result["immaterial"]), sum(part for _, part in parts_of(causes, gap))
+    if small and gap["shrink"] is not None and whole < ALMOST_ALL * min(gap["shrink"], 1.0):
+        many = "the immaterial effect" if small == 1 else f"the {small} immaterial effects"
+        what += f" with {many}"
     before, after = gap["before"], gap["after"]
     if before is None or after is None:
         return f"{what}; these runs give no measure of what that brings"

@@ -220,6 +220,15 @@ def test_reasons_come_in_plain_words_and_what_says_the_same_comes_once() -> None
     assert told == {"command delay": "delay: from 400 ms on", "dead band": gap_reasons.BLIND}
 
 
+def test_a_remedy_names_the_immaterial_effects_that_do_most_of_it() -> None:
+    small = [{"effect": "motor_lag", "parameters": {"tau": {"value": 0.003, "std": 0.0004}}}]
+    causes = [{**answer()["causes"][0], "share": 0.2}]
+    told = answer(causes=causes, immaterial=small)
+    assert "with the immaterial effect and the held-out error" in sentence(told)
+    assert "immaterial" not in sentence({**told, "causes": [{**causes[0], "share": 0.98}]})
+    assert set(effects_of(told, immaterial=True)) == {causes[0]["effect"], "motor_lag"} != set(effects_of(told))
+
+
 def test_what_is_left_above_the_floor_is_said_though_it_has_no_shape() -> None:
     left = answer(gap={**answer()["gap"], "before": 71.0, "after": 5.6, "floor": 0.85})
     assert "falls from 71 to 5.6 times the noise (floor 0.85)" in sentence(left)
