@@ -13,6 +13,7 @@ const PAGE = 500;
 const page = pageData();
 const search = $("#search");
 const state = { ...page, loading: null };
+const asked = { q: page.q, sort: page.sort }; // what the user wants, also while its answer is on the way: a refresh asks no less
 
 const table = new RunTable($("#list"), $("#table"), {
   more: (index) => loadTo(index),
@@ -52,7 +53,7 @@ async function loadPages(token) {
 
 /** The page for another search or order: its JSON twin says all of it, the sentence too. */
 async function go(change, { keep = false } = {}) {
-  const wanted = { q: state.q, sort: state.sort, ...change };
+  const wanted = { ...Object.assign(asked, change) };
   const params = query({ q: wanted.q, sort: wanted.sort === "-created_at" ? "" : wanted.sort });
   try {
     const token = (state.loading = {});
