@@ -20,6 +20,7 @@ from core.gap.explain import Progress, silent
 from core.gap.faced import faced
 from core.gap.pace import Pace
 from core.gap.reference import restarts_of
+from core.gap.righted import righted
 from core.gap.rolling import rolling
 from core.gap.searched import searched
 from core.gap.stretches import on_a_part
@@ -49,7 +50,8 @@ def diagnose(
     check_runs(runs, held_out)
     progress = Pace(progress)
     progress(0.0, "aligning")
-    every, told = aligned([*runs, *held_out])
+    every, wrong = righted([*runs, *held_out])
+    every, told = aligned(every)
     every, more = faced(every)
     runs, held_out, known = _seen(every[: len(runs)], every[len(runs) :], simulator, config.seed, progress)
     one = searched(runs, known, config.window, progress)
@@ -58,7 +60,7 @@ def diagnose(
     part = None if kept else on_a_part(runs, one.found, one.tried, known, config, progress)
     progress(0.9, "telling")
     out = conclude(one.found, one.worlds, kept, one.reach, known, config, part, progress)
-    return dataclasses.replace(out, notes=(*told, *more, *out.notes), runtime_s=time.perf_counter() - began)
+    return dataclasses.replace(out, notes=(*wrong, *told, *more, *out.notes), runtime_s=time.perf_counter() - began)
 
 
 def _seen(

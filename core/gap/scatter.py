@@ -164,11 +164,12 @@ def angle_costs(t: Array, angle: Array, more: Array, swing: float, densities: Ar
     pbb, pbt, ptt, last = np.zeros(k), np.zeros(k), np.zeros(k), t[0] - SECOND if len(t) else 0.0
     pbb = densities**2 * max(last, 0.0)
     for at, value, white in zip(t, angle, more, strict=True):
-        h, last = at - last, at
+        pbb = pbb + densities**2 * max(at - last - SECOND, 0.0)  # what it walks between blocks turns nothing
+        last = at
         turned = turned + SECOND * bias
         ptt = ptt + 2.0 * SECOND * pbt + SECOND**2 * pbb + white + densities**2 * SECOND**3 / 3.0
         pbt = pbt + SECOND * pbb + 0.5 * densities**2 * SECOND**2
-        pbb = pbb + densities**2 * h
+        pbb = pbb + densities**2 * SECOND
         s = ptt + swing
         e = value - turned
         cost += np.log(s) + np.minimum(e * e / s, CAPPED)

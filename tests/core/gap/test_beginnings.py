@@ -16,6 +16,7 @@ from core.gap.checks import check_tolerances
 from core.gap.faced import faced, facing
 from core.gap.reference import restarts_of
 from core.gap.rolling import first_speeds, rolling
+from core.gap.scatter import DENSITIES, angle_costs
 from core.gap.searched import searched
 from core.gap.world import make_world
 from core.run import Run
@@ -74,6 +75,24 @@ def test_a_reference_that_faces_beside_the_way_driven_is_turned_and_told() -> No
     assert facing([askew]) == pytest.approx(0.005, abs=1e-3)
     assert "mrad to the right of the way driven" in faced([askew])[1][0]
     assert faced([run]) == ([run], ())  # sliding out of bends is no mounting
+
+
+def test_a_walk_is_weighed_over_rests_that_are_far_apart_and_short() -> None:
+    """Blocks of part of a second, then a gap: the covariance stays one, however lively the walk that is tried."""
+    at = np.array([0.5, 1.5, 2.13, 3.91, 4.5, 15.57, 18.8, 19.07, 31.85, 32.5])
+    costs = angle_costs(at, np.full(at.size, 1e-4), np.full(at.size, 3e-8), 4e-8, DENSITIES)
+    assert np.isfinite(costs).all() and costs[0] == costs.min()
+
+
+def test_readings_in_another_unit_are_the_files_fault_not_the_robots() -> None:
+    run = made(20.0, effects={"track_width": {"scale": 1.05}})
+    assert run.imu is not None and run.wheels is not None
+    wrapped = dataclasses.replace(run.wheels, left=np.mod(run.wheels.left, 2 * np.pi))
+    wrong = dataclasses.replace(run, imu=dataclasses.replace(run.imu, gz=np.degrees(run.imu.gz)), wheels=wrapped)
+    found = diagnose([wrong])
+    assert [cause.effect for cause in found.causes if cause.probability > 0.5] == ["track_width"]
+    assert any("gyro reads degrees" in note for note in found.notes)
+    assert any("left encoder wraps round" in note for note in found.notes)
 
 
 def test_a_drive_that_cuts_off_what_is_asked_and_is_late_is_told_by_both() -> None:
