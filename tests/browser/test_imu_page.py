@@ -34,7 +34,7 @@ def chart(page: Page, name: str) -> str:
     page.locator(f"#imu-{section[name]}-section").scroll_into_view_if_needed()
     selector = f'[data-chart="imu-{name}"]'
     page.wait_for_selector(f'{selector}[data-state="ready"]')
-    page.locator(selector).scroll_into_view_if_needed()
+    page.locator(selector).evaluate("e => e.scrollIntoView({block: 'nearest'})")  # it may be drawn anew meanwhile
     return selector
 
 
@@ -101,8 +101,8 @@ def test_a_dragged_range_is_the_stretch(page: Page, mission: dict[str, Any]) -> 
     expect(page.locator("#imu-stretch")).to_contain_text("the longest rest")
     drag(page, chart(page, "signal"), 0.0, 0.1)
     page.wait_for_url(re.compile(r"[?&]t1="))
-    chart(page, "histogram")
     expect(page.locator("#imu-stretch")).to_contain_text("the range that you look at")
+    chart(page, "histogram")
     readings = int(re.search(r"^([\d,]+) readings", page.inner_text("#imu-stretch"))[1].replace(",", ""))  # type: ignore[index]
     assert readings == pytest.approx(mission["duration_s"] * 100 / 10, rel=0.05)
     expect(page.locator('[data-statistic="kurtosis"] td')).to_have_text(re.compile(r"\d"))
