@@ -19,11 +19,11 @@ from core.gap.leftover import chance_of_unknown
 from core.gap.rejected import rejected, unseen
 from core.gap.remainder import SURE as LEFT_SURE
 from core.gap.remainder import remainder
-from core.gap.shrink import Scored, figures, show
+from core.gap.shrink import Scored, Shown, figures, show
 from core.gap.stretches import Part
 from core.gap.tell import Told, evidence_of
 from core.gap.types import Cause, Config, Diagnosis, Gap, Immaterial, Unexplained
-from core.gap.where import ground_of, look
+from core.gap.where import Ground, ground_of, look
 from core.gap.world import WHEELS, World
 from core.robot import EffectSet
 
@@ -54,8 +54,7 @@ def conclude(
         apart = [show(world, seen_by.small, seen_by.causing, floor) for world in kept]
     progress(0.92, "telling where")
     ground = ground_of(fitted_on, seen, seen_by.causing, floor)
-    if seen_by.unexplained is None:
-        seen_by = dataclasses.replace(seen_by, unexplained=remainder(ground, seen, floor))
+    seen_by = _with_rest(seen_by, ground, seen, floor)
     unexplained = seen_by.unexplained
     looked = look(ground, seen_by.causing, _shape(found) if unexplained is not None else None)
     causes = _causes(found, seen_by, _shares(found, seen_by, gap))
@@ -88,6 +87,14 @@ def conclude(
         runtime_s=0.0,
         evidence=evidence_of(found, told, ground, seen, looked, kept, apart),
     )
+
+
+def _with_rest(seen_by: Judged, ground: Ground, seen: Sequence[Shown], floor: Floor) -> Judged:
+    """What is left that no search gave a shape, where nothing else unlisted is told."""
+    if seen_by.unexplained is not None:
+        return seen_by
+    left = remainder(ground, seen, floor, {**seen_by.noises, **seen_by.causing})
+    return dataclasses.replace(seen_by, unexplained=left)
 
 
 def _on_part(

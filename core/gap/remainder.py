@@ -6,7 +6,7 @@ is told as unknown with what it follows best, whatever was found beside it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from core.gap.shrink import Shown
 from core.gap.types import Unexplained
 from core.gap.where import Ground
 from core.gap.world import IMU
+from core.robot import EffectSet
 
 TIMES = 4.0
 """A stream's rest is large where it is so many times the noise, root mean square over the runs,"""
@@ -43,10 +44,10 @@ WORDS = {
 """Regressors in the words of gap/1."""
 
 
-def remainder(ground: Ground, shown: Sequence[Shown], floor: Floor) -> Unexplained | None:
-    """The loudest stream whose rest is large; None where none is."""
+def remainder(ground: Ground, shown: Sequence[Shown], floor: Floor, noises: EffectSet) -> Unexplained | None:
+    """The loudest stream whose rest is large; None where none is. noises: those that are told, outliers among them."""
     rests = {name: _times(ground, name) for name in ground.channels}
-    large = {name: times for name, times in rests.items() if _is_large(ground, name, times, floor)}
+    large = {name: times for name, times in rests.items() if _is_large(ground, name, times, floor, noises)}
     if not large:
         return None
     name = max(large, key=lambda one: large[one])
@@ -69,8 +70,10 @@ def _times(ground: Ground, name: str) -> float:
     return float(np.sqrt(max(left, 0.0) / max(dof, 1.0)))
 
 
-def _is_large(ground: Ground, name: str, times: float, floor: Floor) -> bool:
+def _is_large(ground: Ground, name: str, times: float, floor: Floor, noises: EffectSet) -> bool:
     if times < TIMES or name not in floor.sigma or times * floor.sigma[name] < LARGE[name]:
+        return False
+    if name in OUTLYING and times * floor.sigma[name] < BY_OUTLIERS * _outlying(noises.get("beacon_outliers", {})):
         return False
     if ground.all(name, "left").sum() < PART * ground.all(name, "excess").sum():
         return False
@@ -80,3 +83,12 @@ def _is_large(ground: Ground, name: str, times: float, floor: Floor) -> bool:
     some = dof > 0.5
     wide = WIDELY if name in IMU else MOSTLY  # single fixes and ranges far off are outliers
     return bool(np.mean(left[some] > STRONG * dof[some]) > wide)
+
+
+def _outlying(outliers: Mapping[str, float | str]) -> float:
+    """Root mean square [m] of what outliers of this rate and size add to a reading."""
+    return float(np.sqrt(float(outliers.get("rate", 0.0)))) * float(outliers.get("size", 0.0))
+
+
+OUTLYING, BY_OUTLIERS = ("beacon.x", "beacon.y", "ranges.range"), 1.5
+"""Streams that outliers are in, and how many times what they add on average is still theirs."""

@@ -146,7 +146,7 @@ def mjcf(plan: Plan, make: Make, params: RobotParams, sizes: tuple[float, float]
     return f"""
 <mujoco>
   <compiler angle="radian"/>
-  <option timestep="{H / 2}" integrator="implicitfast" cone="elliptic" impratio="{make.impratio}"
+  <option timestep="{H / 2}" integrator="Euler" cone="elliptic" impratio="{make.impratio}"
     gravity="{-G * sx} {-G * sy} {-G}"/>
   <default><geom solref="{make.soft} 1" friction="{make.grip} 0.005 0.0001"/></default>
   <worldbody>
