@@ -25,6 +25,8 @@ CLEAR = 5.0
 """So many deviations the angle must stand clear of chance."""
 FEW = 40
 """Fewer steps that do not overlap say nothing."""
+LEAST = 5e-4
+"""An angle below this [rad] changes nothing, however clear."""
 FAR = 4.0
 """Steps that miss by more than so many deviations are left out."""
 
@@ -51,7 +53,7 @@ def facing(runs: Sequence[Run]) -> float:
         sigma = max(float(np.median(np.abs(left[kept]))) / NORMAL_MEDIAN, 1e-9)
         kept = np.abs(left) < FAR * sigma
     angle, sd = float(x[0]), sigma * float(np.sqrt(inverse[0, 0]))
-    return angle if CLEAR * sd < abs(angle) < MOST else 0.0
+    return angle if max(CLEAR * sd, LEAST) < abs(angle) < MOST else 0.0
 
 
 MOST = EFFECTS["imu_yaw"].parameter("angle").small or 0.0
