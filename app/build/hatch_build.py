@@ -41,6 +41,6 @@ def fetch(root: Path) -> None:
         shutil.copyfile(here / "node_modules" / source, out / name)
 
 
-class VendorHook(BuildHookInterface):  # type: ignore[type-arg]
+class VendorHook(BuildHookInterface):  # type: ignore[type-arg]  # hatchling has no config type to give
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         fetch(Path(self.root))

@@ -14,8 +14,8 @@ from tsdownsample import MinMaxDownsampler, MinMaxLTTBDownsampler
 from core.errors import ParameterError
 
 MIN_POINTS, MAX_POINTS = 10, 20_000
-_THIN: Any = MinMaxLTTBDownsampler()  # type: ignore[no-untyped-call]
-_EXTREMES: Any = MinMaxDownsampler()  # type: ignore[no-untyped-call]
+_THIN: Any = MinMaxLTTBDownsampler()  # type: ignore[no-untyped-call]  # tsdownsample has no types
+_EXTREMES: Any = MinMaxDownsampler()  # type: ignore[no-untyped-call]  # tsdownsample has no types
 Array = npt.NDArray[Any]
 
 

@@ -65,7 +65,7 @@ def rows_to_draw(x: Floats, y: Floats, limit: int = MAX_SEGMENTS) -> npt.NDArray
     n = len(x)
     if n <= limit:
         return np.arange(n, dtype=np.intp)
-    sampler = MinMaxLTTBDownsampler()  # type: ignore[no-untyped-call]
+    sampler = MinMaxLTTBDownsampler()  # type: ignore[no-untyped-call]  # tsdownsample has no types
     picked = [sampler.downsample(np.ascontiguousarray(c), n_out=limit // 2 - 2) for c in (x, y)]
     missing = np.isnan(x) | np.isnan(y)
     edges = np.flatnonzero(missing[1:] != missing[:-1]) + 1

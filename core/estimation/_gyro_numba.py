@@ -10,7 +10,7 @@ from numba import njit
 N = 5  # x, y, theta, bias, gyro scale (its error is carried, never corrected)
 
 
-@njit(cache=True, nogil=True)  # type: ignore[misc, unused-ignore]
+@njit(cache=True, nogil=True)
 def walk(
     dt: Any, turn: Any, distance: Any, gz: Any, still: Any, q_turn: Any, q_distance: Any, q_bias: float, r_gyro: float,
     gate: float, patience: int, refused: Any, x: Any, P: Any, pose: Any, covariance: Any, bias: Any, bias_var: Any,
@@ -58,7 +58,7 @@ def walk(
         bias_var[k] = P[3, 3]
 
 
-@njit(cache=True, nogil=True, inline="always")  # type: ignore[misc, unused-ignore]
+@njit(cache=True, nogil=True, inline="always")
 def _step(x: Any, P: Any, turn: float, dt: float, d: float) -> None:
     """Exact arc of length d and turn (turn - bias dt)(1 - scale), and F P F' row by row."""
     w = (turn - x[3] * dt) * (1.0 - x[4])

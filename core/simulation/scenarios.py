@@ -89,7 +89,7 @@ class Scenario:
         commands = self.commands(rates.commands)
         end = float(commands.t[-1])
         meta = RunMeta(name=self.name, robot=robot, beacons=beacons, start=self.start, noise=noise)
-        return Run(meta=meta, commands=commands, **_blank_streams(rates, end, beacons))  # type: ignore[arg-type]
+        return Run(meta=meta, commands=commands, **_blank_streams(rates, end, beacons))  # type: ignore[arg-type]  # by name
 
 
 def _blank_streams(rates: Rates, end: float, beacons: BeaconMap) -> Mapping[str, object]:

@@ -22,7 +22,7 @@ class Limits(NamedTuple):
     longest: float
 
 
-@njit(cache=True, nogil=True)  # type: ignore[misc, unused-ignore]
+@njit(cache=True, nogil=True)
 def substitute(
     dt: Any, rest: Any, speed: Any, rate: Any, gyro: Any, forward: Any, left: Any, change: Any, limits: Any,
     state: Any, imu: Any, by_imu: Any, age: Any, limit: Any,

@@ -29,7 +29,7 @@ def fused(server: TestClient, run_id: str) -> dict[str, Any]:
 
 def happened(server: TestClient, estimate: dict[str, Any], events: Sequence[dict[str, Any]]) -> None:
     """The estimate found these events."""
-    with writing(server.app.state.engine) as session:  # type: ignore[attr-defined]
+    with writing(server.app.state.engine) as session:  # type: ignore[attr-defined]  # Starlette's `app` has no state
         row = session.get(Estimate, estimate["id"])
         assert row is not None
         row.events = list(events)
